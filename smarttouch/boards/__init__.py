@@ -1,1 +1,1 @@
-"""A proved scan sequence becomes bytes on a wire: boards, their drivers, and what stops them."""
+"""Boards and their drivers, which send proved scan sequences; and stopping of boards."""

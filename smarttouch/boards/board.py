@@ -1,4 +1,4 @@
-"""A display board: its safety gate, and all that keeps what its driver sends safe."""
+"""Display board: safety gate, stop, recovery and sender thread around a driver."""
 
 import contextlib
 import os
@@ -47,11 +47,11 @@ from smarttouch.stimulation.sequence_limits import Dose
 
 __all__ = ["Board", "BoardReport", "Capabilities"]
 
-FARTHEST_NS = 10_000_000_000  # planned starts farther ahead than this are of another clock
-PROBES = 10  # attempts at a measuring scan: on a busy computer its reading may be lost
-ENDS_WITHIN_S = 3.0  # of the sender thread
-QUEUED_S = 0.5  # time, beside four periods, after which a queued sequence is replaced
-RESTARTS = 3  # attempts to restart a board after its line was lost
+FARTHEST_NS = 10_000_000_000  # largest distance of planned starts: detects other clocks
+PROBES = 10  # attempts at a measuring scan, whose reading may be lost on a busy computer
+ENDS_WITHIN_S = 3.0  # longest wait for the end of the sender thread
+QUEUED_S = 0.5  # time, in addition to four periods, after which a queued sequence is replaced
+RESTARTS = 3  # attempts to reconnect a lost board
 _MOST_VOLTS = 64
 
 Measured = tuple[ScanSequence, NDArray[np.float32]]
@@ -59,47 +59,46 @@ Measured = tuple[ScanSequence, NDArray[np.float32]]
 
 @final
 class Board:
-    """A display board, which sends only what its safety gate has proved.
+    """Display board, which sends only sequences proved by its safety gate.
 
     Parameters
     ----------
     driver : Driver
-        Of the device.
     limits : SafetyLimits
-        From the profile of the finger on the board.
+        Limits from the profile of the finger.
     output : Output, optional
-        Output section of the profile: kind, scale, wiring.
+        Table ``output`` of the profile: kind, scale, wiring.
     clock : Clock, optional
-        The machine's if not given.
+        By default the machine's clock.
     late_ns : int, optional
-        Delay after which a sequence is not sent any more: 100 ms if not given.
+        Delay after which a sequence is dropped; by default 100 ms.
     on_a_finger : bool
-        Whether a finger may be on it.
+        Whether a finger may be on the board.
     claimed_time : bool
-        Whether the gate takes the time that sequences state: for boards without a finger.
+        Whether the gate uses the times stated by sequences, for boards without a finger.
     simulated_time : bool
-        Whether time also passes only as they state it, without waiting.
+        Whether time advances only by the stated times, without waiting.
 
     Attributes
     ----------
     driver : Driver
     announced : bool
-        Whether ``smarttouch stop`` must reach it while it is open.
+        Whether ``smarttouch stop`` must reach the board while it is open.
     capabilities : Capabilities
-        Of the device; known once the board is open.
+        Capabilities of the device, known once the board is open.
     clock : Clock
-        Of planned sequences.
+        Clock of planned starts.
     ramp : Ramp
-        Of what was written: it says how strong a sequence may be planned.
+        Ramp of written sequences, which limits the strength of the next one.
     acknowledged, refused, replaced, dropped_late : int
-        Number of sequences that the board has begun to deliver; that it has refused; that a newer
-        one replaced before they were sent; that were not sent because they were too late.
+        Numbers of sequences that the board has begun to deliver; that it has refused; that newer
+        ones replaced before they were sent; and that were dropped because they were late.
     force_n : float or None
         Finger force, if the board measures it.
     lifted : bool
-        Whether nothing touches the electrodes, by the voltages of the last scan.
+        Whether the voltages of the last scan show that nothing touches the electrodes.
     notes : list of str
-        What the user should know after the run.
+        Sentences for the user after the run.
     """
 
     capabilities: Capabilities
@@ -138,30 +137,30 @@ class Board:
         self.notes: list[str] = []
         self._output = output
         self._limits = limits.on(output)
-        # Waits for a deadline need to be exact only where the host times the pulses.
+        # Only a host that times the pulses needs exact waits.
         self.clock: Clock = clock or MonotonicClock()
-        # By the time that sequences state, nothing is late.
+        # With stated times nothing is late.
         self._late_ns = late_ns if self.announced else 2**62
         self._gate = SafetyGate(self._limits, None if claimed_time else self.clock)
         self.ramp: Ramp = self._gate.ramp
         self._line = Line(self)
         self._stopped = self._line._stopped
         self._halted = self._opened = False
-        self._ready = False  # whether the driver can put the device at zero
-        self._is_lost = False  # whether the connection was lost, and is not back
-        self._zeroed = False  # whether a stop has put the board at zero
+        self._ready = False  # whether the driver can set the device to zero
+        self._is_lost = False  # whether the connection is lost
+        self._zeroed = False  # whether a stop has set the board to zero
         self._fault_found: BoardFaultError | None = None  # fault that latched the board
         self._opened_by = os.getpid()
         self._number = self._counted = 0
         self._starts: dict[int, SequenceStart] = {}
         self._volts: deque[Measured] = deque(maxlen=_MOST_VOLTS)
         self._statistics = HostStatistics(limits.electrodes)
-        # What the sender thread and the others share.
+        # shared with the sender thread
         self._news = threading.Condition()
         self._waiting: ProvedSequence | None = None
         self._busy = False
-        self._failure: BoardError | None = None  # that the next call raises
-        self._over_s = 0.0  # end of the scans that were written last, by time.monotonic
+        self._failure: BoardError | None = None  # raised by the next call
+        self._over_s = 0.0  # end of the last written scans, by time.monotonic
         self._sender: threading.Thread | None = None
         self._ending = threading.Event()
 
@@ -172,18 +171,18 @@ class Board:
     # -- opening and closing -----------------------------------------------
 
     def open(self) -> None:
-        """Connect, shake hands, and put all electrodes at zero.
+        """Connect to the device and set all electrodes to zero.
 
-        From before this begins, other processes can stop a board that a finger may be on. It waits
-        up to a second where earlier sequences leave too little room for net current.
+        From the start, other processes can stop a board that a finger may be on. Opening waits up
+        to a second if earlier sequences have used the net charge of a second.
 
         Raises
         ------
         BoardStoppedError
-            If the board, or this program, was stopped for good.
+            If the board or this program was stopped permanently.
         BoardError
-            If the displays of this user could drive more current together than
-            `CEILING_USER_MA`, and whatever keeps the board from opening.
+            If the board cannot be opened, or if all displays of this user together could exceed
+            `CEILING_USER_MA`.
         """
         self._require_own()
         if self._opened:
@@ -196,11 +195,11 @@ class Board:
             )
         enter(self)
         try:
-            # A new run starts from zero intensity, and its time may start again.
+            # A new run starts at zero intensity, and its time may restart.
             self._gate.begin_session()
             self._zeroed = False
             self._stopped.clear()
-            # In this order: a halt from another thread is seen here or comes later.
+            # Keep this order: a halt from another thread is seen here or takes effect later.
             if self._halted:
                 self._stopped.set()
             self._line.pause(self._gate.net_rest_ns() / 1e9)
@@ -211,7 +210,7 @@ class Board:
             self._opened = True
             self._line.require_running()
         except BaseException:
-            # Ctrl-C may come when it is open already; and only whoever closes it withdraws it.
+            # Ctrl-C may arrive when the board is already open; then closing withdraws it.
             if self._opened:
                 self.close()
             else:
@@ -235,7 +234,7 @@ class Board:
         with self._news:
             self._waiting, self._failure, self._busy = None, None, False
         self._ready, self._is_lost, self._ending = True, False, threading.Event()
-        # By simulated time nothing is due between sequences.
+        # In simulated time nothing happens between sequences.
         if not self.simulated_time:
             self._sender = threading.Thread(
                 target=self._serve, args=(self._ending,), name="board sender", daemon=True
@@ -253,7 +252,8 @@ class Board:
             self._line.disconnect()
 
     def _recover(self, lost: LineLostError) -> None:
-        """Connect again to a lost device, at zero, up to three times; raise if that fails."""
+        """Reconnect to a lost device, at zero, in up to three attempts. Raises BoardError if that
+        fails."""
         self._is_lost = self._line.reopened = True
         self._close_driver()
         for left in reversed(range(RESTARTS)):
@@ -265,14 +265,14 @@ class Board:
             except OtherDeviceError as other:
                 raise BoardError(f"{lost}; {other}") from None
             except BoardError as again:
-                # The line may be lost again meanwhile.
+                # The connection may be lost again.
                 if not left or not isinstance(again, LineLostError | SilentBoardError):
                     raise lost from None
         # Nothing was delivered for a while: what comes next begins at zero.
         self._gate.restart()
 
     def close(self) -> None:
-        """Put all electrodes at zero and close the board."""
+        """Set all electrodes to zero and close the board."""
         self._require_own()
         if self._opened:
             self._opened = self._line.reopened = False
@@ -289,14 +289,15 @@ class Board:
         return self
 
     def __exit__(self, _kind: object, error: object, _trace: object) -> None:
-        # The first fault is the one to report.
+        # Report only the first fault.
         with contextlib.suppress(*[BoardError] * (error is not None)):
             self.close()
 
     # -- stops and faults --------------------------------------------------
 
     def stop(self) -> None:
-        """Put all electrodes at zero now, from any thread; nothing is sent or measured after."""
+        """Set all electrodes to zero now, from any thread; nothing is sent or measured
+        afterwards."""
         self._require_own()
         with uninterrupted():
             try:
@@ -307,24 +308,24 @@ class Board:
                     try:
                         self._line._put_at_zero()
                     except (BoardClosedError, LineLostError):
-                        # Where silence is zero, only the first loss needs a report.
+                        # If a silent board is at zero, only the first loss needs a report.
                         if not self._is_lost or self.capabilities.time_to_zero_ms is None:
                             raise
             self._zeroed = True
 
     def halt(self) -> None:
-        """Stop for good, from any thread; a board that is being opened fails to open."""
+        """Stop permanently, from any thread; opening fails from now on."""
         self._halted = True
         self.stop()
 
     def _drop_waiting(self) -> None:
-        """Drop the sequence that waits for the sender thread, and wake threads that wait."""
+        """Drop the waiting sequence, and wake waiting threads."""
         with self._news:
             self._waiting = None
             self._news.notify_all()
 
     def _latch(self, reason: str) -> BoardFaultError:
-        """Put the board at zero for good and record its fault; return the error to raise."""
+        """Set the board to zero permanently and record its fault; return the error to raise."""
         if self._fault_found is not None:
             return self._fault_found
         self._fault_found = BoardFaultError(
@@ -339,45 +340,45 @@ class Board:
 
     @property
     def device(self) -> str | None:
-        """Identity that its faults are recorded by: USB serial number, else port; or None."""
+        """Identity under which faults are recorded: USB serial number, else port; or None."""
         return None if self.driver.port is None else device_of(self.driver.port)
 
     @property
     def budget_ua(self) -> int:
-        """Its share of the current that all displays of a user may drive together, µA."""
+        """Largest current of this board that counts toward the user's total, µA."""
         return self._limits.total_ua if self.on_a_finger else 0
 
     # -- sending -----------------------------------------------------------
 
     def send(self, sequence: ScanSequence, times: int = 1, due_ns: int | None = None) -> int:
-        """Validate a sequence by the safety gate, then send it.
+        """Prove a sequence by the safety gate, then send it.
 
-        It is delivered ``times`` times, one period after another, unless a newer one comes.
+        It is delivered ``times`` times, unless a newer one arrives.
 
         Parameters
         ----------
         sequence : ScanSequence
         times : int
         due_ns : int, optional
-            When it was planned to start, by the board's clock; now if not given.
+            Planned start, by the board's clock; by default now.
 
         Returns
         -------
         int
-            The number of the sequence on the board.
+            Number of the sequence on the board.
 
         Raises
         ------
         SafetyError
-            If it breaks a limit; nothing is sent.
+            If the sequence exceeds a limit; nothing is sent.
         BoardRestartedError
-            If the board was lost and is back: begin again at intensity 0.
+            If the board was lost and is back: start again at intensity 0.
         SequenceLateError
-            If it, or one before it, was too late to be sent: begin again at intensity 0.
+            If this or an earlier sequence was late: start again at intensity 0.
         BoardStoppedError
             If the board was stopped.
         BoardError
-            If the board is closed, of another size, or gone.
+            If the board is closed, has another size, or was lost.
         """
         if not self._opened or self._opened_by != os.getpid():
             self._require_own("sending")
@@ -394,7 +395,7 @@ class Board:
             raise BoardError(f"{times} repetitions are not possible: at most {LONGEST_REPEAT}")
         if sequence.recharge_ua is not None and not can.recharges:
             raise BoardError(
-                "the sequence ends with a recharge phase, and this board makes none: leave it out"
+                "the sequence has a recharge phase, but this board cannot make one: leave it out"
             )
         proved = self._gate.prove(
             sequence, times, number=self._number + 1, due_ns=due_ns, late_ns=self._late_ns
@@ -410,8 +411,8 @@ class Board:
         raise failure
 
     def _not_sent(self, error: BoardError) -> BoardError:
-        """Return the error to raise for a sequence that was not sent, at zero."""
-        # On a stopped board any failure is due to the stop.
+        """Return the error to raise for a sequence that was not sent, with the board at zero."""
+        # On a stopped board the stop explains any failure.
         self._line.require_running()
         if isinstance(error, SequenceLateError):
             self.dropped_late += 1
@@ -424,16 +425,17 @@ class Board:
         return error
 
     def close_level(self) -> None:
-        """Close the intensity level: what comes next begins at zero, as after a lifted finger."""
+        """Reset the ramp: the next sequence must start at zero intensity, as after a lifted
+        finger."""
         self._gate.restart()
 
     def keep_kernels(self, table: KernelTable) -> None:
-        """Give the board the kernels of the sequences to come, if it keeps any.
+        """Store the kernels of the next sequences on the board, if it can store kernels.
 
         Raises
         ------
         BoardError
-            If it is closed, stopped or gone.
+            If the board is closed, stopped or lost.
         """
         self._require_own("giving it kernels")
         try:
@@ -442,13 +444,13 @@ class Board:
             self._recover(lost)
 
     def drain(self, timeout_s: float = 1.0) -> None:
-        """Wait until all sequences have been delivered, or the time is over."""
+        """Wait until all sequences have been delivered, at most ``timeout_s``."""
         deadline_s = time.monotonic() + timeout_s
         with self._news:
             self._news.wait_for(
                 lambda: self._is_over or (self._waiting is None and not self._busy), timeout_s
             )
-        # A stop may come while the driver asks its device.
+        # A stop may arrive while the driver queries the device.
         with contextlib.suppress(BoardStoppedError):
             while time.monotonic() < deadline_s and self.report().is_busy:
                 self._line.pause(0.002)
@@ -459,7 +461,7 @@ class Board:
 
     @property
     def _is_over(self) -> bool:
-        """Whether nothing is sent any more."""
+        """Whether sending has ended."""
         return self._failure is not None or self._stopped.is_set()
 
     def _raise_failure(self) -> None:
@@ -470,7 +472,7 @@ class Board:
             raise failure
 
     def _queue(self, proved: ProvedSequence) -> None:
-        """Let the sender thread write a sequence; a newer one replaces one that waits."""
+        """Queue a sequence for the sender thread; it replaces a waiting one."""
         patience_s = QUEUED_S + 4e-6 * proved.sequence.period_us
         with self._news:
             self._news.wait_for(lambda: self._is_over or self._waiting is None, patience_s)
@@ -482,7 +484,7 @@ class Board:
 
     @prioritized()
     def _serve(self, ending: threading.Event) -> None:
-        """Write queued sequences, and let the driver do what it does between them."""
+        """Write queued sequences, and call `Driver.idle` between them."""
         wait_s: float | None = 0.0
         proved: ProvedSequence | None = None
 
@@ -504,7 +506,7 @@ class Board:
                     self.driver.write(proved)
                 wait_s = self.driver.idle()
             except SequenceLateError as late:
-                # The next `send` reports it and restarts at zero.
+                # The next `send` reports this and restarts at zero.
                 with self._news:
                     self.dropped_late += 1 + (self._waiting is not None)
                     self._waiting, self._failure = None, self._failure or late
@@ -527,21 +529,21 @@ class Board:
                 self._failure = fault
             self._news.notify_all()
         if not isinstance(fault, LineLostError):
-            # Its pattern would be shown on with nobody to end it.
+            # Otherwise the board would repeat its pattern.
             with contextlib.suppress(BoardError):
                 self._line._put_at_zero()
 
     # -- measuring and reports ---------------------------------------------
 
     def measure(self) -> Impedance:
-        """Measure the impedance of every electrode, with small currents.
+        """Measure the impedance of each electrode, with small currents.
 
         Raises
         ------
         BoardStoppedError
-            If the board was stopped, before or meanwhile: all electrodes are at zero.
+            If the board was stopped; all electrodes are at zero.
         BoardError
-            If the board is closed, cannot measure, or gives an invalid answer.
+            If the board is closed, cannot measure, or answers invalidly.
         """
         self._require_own("measuring")
         self._line.require_running()
@@ -550,7 +552,7 @@ class Board:
             self.take_volts()
             return measure_by_probes(self._probe, self._limits, self._output, self.capabilities)
         finally:
-            # What comes next begins at zero, and its time may start again.
+            # The next run starts at zero, and its time may restart.
             self._gate.restart()
 
     def _probe(self, probe: ScanSequence) -> NDArray[np.float64]:
@@ -558,7 +560,7 @@ class Board:
         for again in range(PROBES):
             self.send(replace(probe, time_ns=probe.time_ns + again))
             self.drain()
-            # A stop may come while the last one is delivered.
+            # A stop may arrive while the scan is delivered.
             self._line.require_running()
             if not probe.slots:
                 return np.empty(0)
@@ -571,7 +573,8 @@ class Board:
         )
 
     def report(self) -> BoardReport:
-        """Return the report of what was delivered: the device's own, else the host's."""
+        """Return the report of delivered sequences, by the device if it has one, else by the
+        host."""
         reported = self.driver.status()
         if reported is not None:
             return reported
@@ -579,9 +582,9 @@ class Board:
             return self._statistics.report
 
     def start_of(self, number: int) -> SequenceStart | None:
-        """Return when a sequence began, by the number that `send` returned.
+        """Return the start of a sequence, by the number from `send`.
 
-        None before the board has reported it, some seconds later, and for boards that never do.
+        None if the board has not reported it yet, never does, or did so more than some seconds ago.
         """
         return self._starts.get(number)
 
@@ -591,8 +594,7 @@ class Board:
         Returns
         -------
         list of (ScanSequence, ndarray)
-            A sequence that was delivered, and the voltage its source needed at
-            the end of each slot, (S,) V.
+            A delivered sequence, and the voltage of its source at the end of each slot, (S,) V.
         """
         volts = []
         while self._volts:
@@ -610,8 +612,8 @@ class Board:
         return self._gate.dose
 
     def _require_own(self, use: str = "") -> None:
-        """Raise in a forked process, where the board and its line are its parent's, and before a
-        use for which the board must be open."""
+        """Raise BoardError in a forked process, as the board belongs to its parent; and, with
+        ``use``, if the board is not open."""
         if self._opened and self._opened_by != os.getpid():
             raise BoardClosedError(
                 f"process {self._opened_by} has the board open, and a process that it forked may "

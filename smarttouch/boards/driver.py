@@ -1,4 +1,4 @@
-"""What a driver of a device implements, and the line by which it reaches the device."""
+"""Base class of drivers, and the line to a device."""
 
 import contextlib
 import threading
@@ -41,115 +41,113 @@ if TYPE_CHECKING:
 
 __all__ = ["Driver", "Line"]
 
-PIECE = 4096  # bytes written at once: a stop waits for one piece, not for a whole packet
-WRITE_S = 0.6  # longest time that a stop waits for one write: ports give up after .5 s
-BLOCKED_S = 1.0  # longest time that zero waits for a write that does not end
-RECOVER_S = 3.0  # time to wait for a lost port
+PIECE = 4096  # bytes written at once: a stop waits for one piece, not for a complete packet
+WRITE_S = 0.6  # longest wait of a stop for one write: ports give up after 0.5 s
+BLOCKED_S = 1.0  # longest wait of zero for a blocked write
+RECOVER_S = 3.0  # longest wait for a lost port
 _MOST_STARTS = 256
 
 
 class Driver(ABC):
-    """Translator between a `Board` and one kind of device.
+    """Base of drivers, which know the wire format of one kind of device.
 
-    The board owns the safety gate, ramp, clock, stop, sender thread and recovery. It calls the
-    methods below, and everything that a driver sends goes through the `Line` that `open` receives.
-    A driver reports what it finds out to the line. It needs no lock, no thread and no clock.
+    The board has the safety gate, ramp, clock, stop, sender thread and recovery. It calls the
+    methods below. A driver sends everything through the `Line` that `open` receives, and reports to
+    it. It needs no lock, thread or clock.
 
-    Parameters of a driver that is opened by a URL are the text after the colon, the limits of the
-    finger (a copy), the output section of the profile or None, and options by keyword.
+    Parameters of a driver opened by URL are the text after the colon, a copy of the limits, the
+    profile's table ``output`` or None, and options by keyword.
     """
 
     default_profile: ClassVar[str] = DEFAULT_PROFILE
-    """Name of the profile that goes with such a device."""
+    """Name of the default profile."""
     takes_wiring: ClassVar[bool] = False
-    """Whether the user wires the outputs, so that a profile may have ``output.wiring``."""
+    """Whether users wire the outputs, so that profiles may contain ``output.wiring``."""
     keeps_kernels: ClassVar[bool] = False
-    """Whether the device can store kernels, so that slots should be sums of them."""
+    """Whether the device can store kernels; slots are then sums of them."""
     timing: ScanTiming = ScanTiming()
-    """Scan timing fixed by the device; known before it is opened."""
+    """Timing constraints of the device, known before it is opened."""
     port: str | None = None
-    """Name of the device's port, by which faults are recorded; None if it has none."""
+    """Name of the device's port, under which faults are recorded, or None."""
 
     @abstractmethod
     def open(self, line: "Line", limits: SafetyLimits) -> Capabilities:
-        """Connect, check that it is the right device, and put all electrodes at zero.
+        """Connect, identify the device, and set all electrodes to zero.
 
-        It is called again after the connection was lost, with ``line.reopened`` set.
+        After a lost connection this is called again, with ``line.reopened`` set.
 
         Parameters
         ----------
         line : Line
-            The way to the device; keep it.
+            Line to the device; store it.
         limits : SafetyLimits
-            A copy, for the device's firmware and for bounds of counts.
+            Copy of the limits, for the firmware and for checks of reports.
 
         Raises
         ------
         BoardError
-            If it is not this device, or does not answer.
+            If another device, or none, answers.
         """
 
     @abstractmethod
     def write(self, proved: ProvedSequence) -> None:
         """Send a sequence to the device, by `Line.write` or within `Line.current`.
 
-        Where the host times the passes (`Capabilities.host_timed`), this lasts as long as they do,
-        and returns early once `Line.has_newer`. An error is raised by the next `Board.send` then.
+        If the host times the passes (`Capabilities.host_timed`), this lasts as long as they do, and
+        returns early if `Line.has_newer`. Errors are then raised by the next `Board.send`.
         """
 
     @abstractmethod
     def zero(self) -> None:
-        """Put all electrodes at zero, from any thread and at any instant, also within `write`.
+        """Set all electrodes to zero, from any thread and at any time, also during `write`.
 
         Raises
         ------
         BoardError
-            If it is not certain that all electrodes are at zero.
+            Unless all electrodes are certainly at zero.
         """
 
     def close(self) -> None:  # noqa: B027, optional for drivers
-        """Release what `open` took, also where `open` has failed; the board closes the line."""
+        """Release resources of `open`, also after `open` has failed; the board closes the line."""
 
     def idle(self) -> float | None:
         """Send heartbeats and read answers between writes, in the board's sender thread.
 
-        It is called once the device is open, and after each `write` of that thread.
+        It is called after opening, and after each `write` by that thread.
 
         Returns
         -------
         float or None
-            Seconds after which to call it again; None if not before the next write.
+            Seconds until the next call; None means after the next write.
         """
         return None
 
     def store_kernels(self, table: KernelTable) -> None:  # noqa: B027, optional for drivers
-        """Give the device the kernels of the sequences to come."""
+        """Store the kernels of the next sequences on the device."""
 
     def status(self) -> BoardReport | None:
-        """Return the device's own report of what it delivered; None to use the host's."""
+        """Return the device's report of delivered sequences; None to use the host's."""
         return None
 
 
 class Line:
-    """Line of one board to its device: the only way by which a driver reaches it.
+    """Line of a board to its device; drivers must use only this.
 
-    It holds the lock of `Board.stop` while it writes, refuses sequences that are late or rise too
-    fast, and after a stop refuses everything that `Driver.zero` does not write.
+    It holds the lock of `Board.stop` during writes, and rejects sequences that are late or rise too
+    fast. After a stop it rejects everything except writes of `Driver.zero`.
 
     Attributes
     ----------
     board : Board
-        The driver counts in its ``refused`` and ``replaced``, sets its ``force_n``, and appends to
-        its ``notes``.
+        The board. Drivers update its ``refused``, ``replaced``, ``force_n`` and ``notes``.
     name : str
         Name of the connected port.
     reopened : bool
-        Whether the connection was lost and is opened again: `connect` then waits for the same
-        device.
+        Whether this is a reconnection, in which `connect` waits for the same device.
     now_ns : callable
         Returns the time by the board's clock.
     identity : UsbIdentity or None
-        USB identity of the device; None if it has none.
+        USB identity of the device, or None.
     """
 
     def __init__(self, board: "Board") -> None:
@@ -160,23 +158,23 @@ class Line:
         self.identity: UsbIdentity | None = None
         self._port: Port | None = None
         self._stopped = threading.Event()
-        # Reentrant: a program's own signal handler may stop while its thread is writing.
+        # Reentrant, because a signal handler may stop the board while its thread is writing.
         self._lock, self._dialogue = threading.RLock(), threading.RLock()
-        self._zeroing: list[int] = []  # threads that write zero, once for each of its blocks
+        self._zeroing: list[int] = []  # threads that are writing zero, once for each nested block
 
     # -- the connection ----------------------------------------------------
 
     def connect(
         self, name: str, wrap: Callable[[Port], Port] = lambda port: port, baudrate: int = 921600
     ) -> None:
-        """Open a port, or wait until it is back if the connection was lost.
+        """Open a port; after a lost connection wait until it is back.
 
         Parameters
         ----------
         name : str
             A device, ``tcp://HOST:PORT``, or any URL that pyserial knows.
         wrap : callable
-            Returns the port to use in place of the open one, such as that of a watchdog.
+            Returns a replacement for the open port, such as a watched port.
         baudrate : int
 
         Raises
@@ -184,7 +182,7 @@ class Line:
         BoardError
             If it cannot be opened.
         OtherDeviceError
-            If another device is there now.
+            If another device is at the port.
         """
         if self.reopened:
             port = reopen_port(name, RECOVER_S, self.identity, self.pause, baudrate)
@@ -209,14 +207,14 @@ class Line:
         ----------
         data : bytes
         proved : ProvedSequence, optional
-            The sequence that they let the device deliver; None for bytes that cause no current.
+            Sequence that the bytes make the device deliver; None for bytes without current.
 
         Raises
         ------
         SequenceLateError
-            If it is too late for the sequence, or its current would rise too fast.
+            If the sequence is late, or would rise too fast.
         BoardStoppedError
-            If the board was stopped, and this is not called by `Driver.zero`.
+            If the board was stopped, unless `Driver.zero` calls this.
         LineLostError
             If the connection is lost.
         """
@@ -231,8 +229,8 @@ class Line:
 
     @contextlib.contextmanager
     def current(self, proved: ProvedSequence | None = None) -> Iterator[None]:
-        """Hold the lock of `Board.stop` for a write to a device that is not a port; arguments and
-        errors as of `write`. A sequence whose block has ended counts as written."""
+        """Hold the lock of `Board.stop` for a write to a device without a port. Arguments and
+        errors are as for `write`. At the end of the block the sequence counts as written."""
         board, begun, zeroing = self.board, False, threading.get_ident() in self._zeroing
         # Signals are deferred for boards that a stop must reach.
         with uninterrupted() if board.announced else contextlib.nullcontext():
@@ -259,23 +257,23 @@ class Line:
                     can = board.capabilities
                     passes = 1 if can.host_timed else proved.times
                     board._over_s = time.monotonic() + passes * proved.sequence.period_us / 1e6
-                    # What was written in parts counts once.
+                    # Parts of a sequence count once.
                     if not (can.acknowledges or can.host_timed or proved.number == board._counted):
                         self.delivered(proved, proved.times)
             finally:
                 self._lock.release()
                 if begun and self._stopped.is_set() and not zeroing:
-                    # The stop may not have waited for this write.
+                    # A stop may not have waited for this write.
                     self._put_at_zero()
 
     def later(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
-        """Return a proved sequence for a later start, by `now_ns`: a repetition that the host
-        times, or a sequence that waited for its turn on the device.
+        """Return a proved sequence with a later start, by `now_ns`: a repetition timed by the host,
+        or a sequence that waited for its turn.
 
         Raises
         ------
         SequenceLateError
-            If that is later than repetitions and turns can explain.
+            If the start is later than repetitions and the longest wait allow.
         """
         try:
             return self.board._gate.repeated(proved, due_ns)
@@ -285,7 +283,7 @@ class Line:
     # -- reading -----------------------------------------------------------
 
     def read(self, count: int, within_s: float) -> bytes:
-        """Return as many bytes as come in time, at most ``count``."""
+        """Return the bytes received in time, at most ``count``."""
         with self._open_port("has vanished") as port:
             port.timeout = within_s
             return bytes(port.read(count))
@@ -293,32 +291,32 @@ class Line:
     def ask(
         self, data: bytes, count: int, within_s: float, proved: ProvedSequence | None = None
     ) -> bytes:
-        """Write bytes and return the answer, at most ``count`` bytes; no other question of any
-        thread comes between. The bytes deliver a sequence if one is given, as those of `write`."""
+        """Write bytes and return the answer, at most ``count`` bytes, without queries of other
+        threads in between. ``proved`` is as for `write`."""
         with self._dialogue:
             self.discard_input()
             self.write(data, proved)
             return self.read(count, within_s)
 
     def read_some(self) -> bytes:
-        """Return what has come; waits a moment for the first byte."""
+        """Return received bytes; wait briefly for the first one."""
         with self._open_port("has vanished") as port:
             if (data := read_some(port)) is None:
                 note = f"another program reads from {self.name}: close it (ModemManager or a "
                 note += "serial monitor?)"
                 self.board.notes += [note] * (note not in self.board.notes)
-                # Whatever the port says: this thread may have priority over all others.
+                # Always pause: this thread may have priority over all others.
                 time.sleep(0.001)
             return data or b""
 
     def discard_input(self) -> None:
-        """Drop what has come and was not read."""
+        """Drop unread bytes."""
         with self._open_port("has vanished") as port:
             port.reset_input_buffer()
 
     @contextlib.contextmanager
     def _open_port(self, what: str) -> Iterator[Port]:
-        """Lend the port; raise LineLostError if it fails."""
+        """Yield the port. Raises LineLostError if it fails."""
         if (port := self._port) is None:
             raise BoardClosedError("the board is not connected: open it first")
         try:
@@ -329,12 +327,13 @@ class Line:
     # -- time and stops ----------------------------------------------------
 
     def wait_until(self, time_ns: int) -> None:
-        """Wait until a time of the board's clock; raise if the board is stopped meanwhile."""
+        """Wait until a time of the board's clock. Raises BoardStoppedError if the board is
+        stopped."""
         self.board.clock.wait_until(time_ns, self._stopped)
         self.require_running()
 
     def pause(self, seconds: float) -> None:
-        """Wait; raise if the board is stopped meanwhile."""
+        """Wait. Raises BoardStoppedError if the board is stopped."""
         if threading.get_ident() in self._zeroing:
             time.sleep(seconds)
         else:
@@ -343,11 +342,11 @@ class Line:
 
     @property
     def is_stopped(self) -> bool:
-        """Whether writes are refused; never within `Driver.zero`."""
+        """Whether writes are rejected; False within `Driver.zero`."""
         return self._stopped.is_set() and threading.get_ident() not in self._zeroing
 
     def require_running(self) -> None:
-        """Raise BoardStoppedError if the board was stopped, but not within `Driver.zero`."""
+        """Raise BoardStoppedError if the board was stopped, except within `Driver.zero`."""
         if self._stopped.is_set() and threading.get_ident() not in self._zeroing:
             if self.board._fault_found is not None:
                 raise self.board._fault_found
@@ -357,21 +356,21 @@ class Line:
             )
 
     def has_newer(self) -> bool:
-        """Return whether a newer sequence waits, which ends the repetitions of this one."""
+        """Return whether a newer sequence is waiting, which ends the current repetitions."""
         return self.board._waiting is not None
 
     def lost(self, what: str) -> LineLostError:
-        """Return the error of a lost connection, such as ``lost("does not answer")``."""
+        """Return the error for a lost connection, as in ``lost("does not answer")``."""
         can, then = getattr(self.board, "capabilities", None), ""
-        # A port that is shared with a watchdog tells whether that has put the board at zero.
+        # A watched port tells whether its watchdog has set the board to zero.
         if can is not None and not getattr(self._port, "at_zero", False):
-            then = "; the board goes on with its last pattern: lift the finger, then switch it off"
+            then = "; the board repeats its last pattern: lift the finger, then switch it off"
             if can.time_to_zero_ms is not None:
                 then = f"; it shorts all electrodes within {can.time_to_zero_ms:g} ms of silence"
         return LineLostError(f"the board at {self.name} {what}{then}")
 
     def late(self) -> SequenceLateError:
-        """Return the error of a sequence that is dropped because it is late."""
+        """Return the error for a sequence that is dropped because it is late."""
         late_ms = self.board._late_ns // 1_000_000
         return SequenceLateError(
             f"this computer was too slow: sequences were over {late_ms} ms late and were skipped, "
@@ -381,8 +380,7 @@ class Line:
     # -- what a driver reports, from any thread ------------------------------
 
     def started(self, proved: ProvedSequence, time_ns: int, board_us: int) -> None:
-        """Report when a sequence began on a device that acknowledges them, by `now_ns` and by the
-        device's own clock, µs."""
+        """Report the start of a sequence, by `now_ns` and by the device's clock, µs."""
         starts = self.board._starts
         starts[proved.number] = SequenceStart(proved.number, time_ns, board_us)
         self.board.acknowledged += 1
@@ -390,8 +388,8 @@ class Line:
             del starts[next(iter(starts))]
 
     def delivered(self, proved: ProvedSequence, scans: int, most: int | None = None) -> None:
-        """Report that so many more passes of a sequence were made, or at least that and at most
-        ``most``, where the host times them."""
+        """Report ``scans`` more passes of a sequence timed by the host; with ``most``, from
+        ``scans`` to ``most`` passes."""
         board = self.board
         with board._news:
             again = proved.number == board._counted
@@ -402,20 +400,20 @@ class Line:
     def measured(
         self, sequence: ScanSequence, volts: NDArray[np.float32], lifted: bool | None = None
     ) -> None:
-        """Report the voltage that each slot of a delivered sequence needed, (S,) V, and whether
-        that is the voltage where nothing touches the electrodes; None if it does not tell."""
+        """Report the voltage of each slot of a delivered sequence, (S,) V, and whether it shows
+        that nothing touches the electrodes (None if unknown)."""
         self.board._volts.append((sequence, volts))
         if lifted is not None:
             self.board.lifted = lifted
 
     def fault(self, reason: str) -> BoardFaultError:
-        """Put the board at zero for good, record its fault, and return the error to raise."""
+        """Set the board to zero permanently, record its fault, and return the error to raise."""
         return self.board._latch(reason)
 
     # -- for the board -----------------------------------------------------
 
     def _bar(self) -> None:
-        """Refuse all current from now on, and wait for the end of the write under way."""
+        """Reject all current from now on, and wait for the end of the current write."""
         self._stopped.set()
         if self._lock.acquire(timeout=WRITE_S):
             self._lock.release()

@@ -1,4 +1,4 @@
-"""Boards by URL: their drivers, and one that keeps sequences in memory."""
+"""Boards by URL, and a driver that stores sequences in memory."""
 
 from dataclasses import replace
 from typing import Any
@@ -31,14 +31,14 @@ _WITHOUT_FINGER: dict[str, dict[str, Any]] = {
     "memory": {"on_a_finger": False, "claimed_time": True},
     "simulated": {"on_a_finger": False, "claimed_time": True, "simulated_time": True},
 }
-"""Boards that no finger can be on. All others, those of other packages included, may have a finger
-on them and keep the machine's clock."""
+"""Boards that no finger can touch. All others, including those of other packages, may have a
+finger, and use the machine's clock."""
 
 
 def make_board(
     url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
 ) -> Board:
-    """Return the board of a URL, not opened yet; its driver's options may stand in the URL, as in
+    """Return the closed board for a URL, which may contain options of its driver, as in
     ``emulator:?books=FOLDER``."""
     opener, rest = BOARDS.find(url)
     rest, from_url = read_options(opener, rest, BoardError, but=("output",))
@@ -48,19 +48,18 @@ def make_board(
 
 
 def may_touch_a_finger(url: str) -> bool:
-    """Return whether there may be a finger on the board of a URL."""
+    """Return whether a finger may be on the board of a URL."""
     BOARDS.find(url)
     return url.partition(":")[0] not in _WITHOUT_FINGER
 
 
 def default_profile(url: str) -> str:
-    """Return the name of the shipped profile that goes with a board's URL."""
+    """Return the name of the default profile for a board's URL."""
     return str(getattr(BOARDS.find(url)[0], "default_profile", DEFAULT_PROFILE))
 
 
 class MemoryDriver(Driver):
-    """Driver without process, line or current, which keeps all ``sequences`` since it was opened:
-    ``memory:``."""
+    """Driver without a device, which stores all ``sequences`` since it was opened: ``memory:``."""
 
     def __init__(
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
@@ -83,4 +82,4 @@ class MemoryDriver(Driver):
             self.sequences.append(proved.sequence)
 
     def zero(self) -> None:
-        """Nothing flows."""
+        """Do nothing, as there is no current."""

@@ -1,8 +1,8 @@
-"""Impedances of electrodes: the scans that measure them, and what their voltages say.
+"""Scans that measure impedances, and their evaluation.
 
-A board with one source drives each electrode in turn against all others. Where every output forces
-its own current, one open electrode among the returns would take all the voltage there is: such a
-board drives pairs of near electrodes.
+A board with one source drives each electrode in turn against all others. A board with a source for
+each electrode drives pairs of near electrodes: with more, one open electrode would saturate the
+voltage.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,14 +19,14 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 PROBE_MA = 0.5
 PROBE_US = 50
 _STEPS = 20
-_SLOWEST_US = 20_000  # period that leaves any board the time to answer
-_SWITCHING_US = 30  # most that switching adds to a slot
-_PAIRS = 4  # pairs of each electrode: with the next, the next but one, and so on
-SATURATED = 0.97  # part of the compliance at which a source counts as saturated
+_SLOWEST_US = 20_000  # period that gives each board time to answer
+_SWITCHING_US = 30  # largest additional time of a slot by switching
+_PAIRS = 4  # number of pairs of each electrode, with the next ones
+SATURATED = 0.97  # share of the compliance at which a source counts as saturated
 OPEN_FACTOR = 5.0
 SHORT_FACTOR = 0.1
-"""Part of the median below which an electrode is shorted; good ones differ two- or threefold. An
-estimate of ours."""
+"""Share of the median impedance below which an electrode is shorted (our estimate); good ones
+differ by a factor of two or three."""
 
 Array = NDArray[np.float64]
 
@@ -37,9 +37,9 @@ def measure_by_probes(
     output: Output | None,
     can: Capabilities,
 ) -> Impedance:
-    """Return the impedance of each electrode, by sequences that rise from zero.
+    """Measure the impedance of each electrode by sequences that rise from zero.
 
-    ``ask`` delivers one and returns the voltage of each of its slots, (S,) V.
+    ``ask`` delivers a sequence and returns the voltage of each slot, (S,) V.
     """
     if not can.measures or can.compliance_v is None:
         raise BoardError("this board does not measure: use a multimeter")
@@ -48,7 +48,7 @@ def measure_by_probes(
         volts = ask(probe)
     if in_pairs:
         return _from_pairs(probe, volts, can.compliance_v)
-    # A masked electrode is not driven, and counts as open.
+    # A masked electrode counts as open.
     every = np.full(limits.electrodes, can.compliance_v)
     every[probe.site] = volts
     beside_ma = every / can.load_kohm if can.load_kohm else 0.0
@@ -58,14 +58,14 @@ def measure_by_probes(
 def probe_sequences(
     limits: SafetyLimits, output: Output | None, *, in_pairs: bool
 ) -> Iterator[ScanSequence]:
-    """Yield scans that rise from zero to `PROBE_MA`, without masked electrodes. The last one is the
-    measurement; those before it keep the rise within the ramp if each is delivered to its end."""
+    """Yield scans that rise from zero to `PROBE_MA`, without masked electrodes. The last scan is
+    the measurement. The rise is within the ramp if each scan is delivered completely."""
     most_ma = min(limits.current_ma, limits.full_ma, *(limits.electrode_ma or ()))
     peak_ma = min(PROBE_MA, 0.9 * most_ma)
     if peak_ma < 0.02:
         raise BoardError(f"the limits allow {peak_ma * 1000:.0f} µA: too little to measure with")
     top = peak_ma / limits.full_ma
-    # Only the time of passes with current counts towards the rise.
+    # Only passes with current count toward the ramp.
     step_us = max(_SLOWEST_US, int(np.ceil(1.05e6 * limits.ramp_s * top / _STEPS)))
     cathodic = output is None or "cathodic" in output.polarities
     time_ns = 0
@@ -92,10 +92,10 @@ def one_each(
     period_us: int = 0,
     in_pairs: bool = False,
 ) -> ScanSequence:
-    """Return a scan of one slot for each site (all but masked ones if not given): ``level_ua``
-    through it, returned equally by the other electrodes; no slots if that is 0. Masked ones take no
-    share, as an open one would need all the voltage there is. In pairs, one near site returns it,
-    each in a slot of its own: over a scan each site carries as much of either sign."""
+    """Return a scan with a slot for each site (default: all that are not masked), with ``level_ua``
+    through it and equal returns through the others. At level 0 there are no slots. Masked
+    electrodes carry nothing, as an open one would saturate the voltage. In pairs, a single near
+    site returns the current, so that each site carries equal charges of both signs in a scan."""
     electrodes, masked = limits.electrodes, limits.masked
     unmasked = np.delete(np.arange(electrodes), masked).tolist()
     driven = (unmasked if sites is None else sites) if level_ua else []
@@ -104,7 +104,7 @@ def one_each(
         returns = [[site] for stride in strides for site in np.roll(driven, -stride).tolist()]
         driven = driven * len(strides)
     else:
-        # From the driven electrode on: the nearest ones take the remainder.
+        # Start at the driven electrode: the next ones carry the rounding remainder.
         others = [[(site + step) % electrodes for step in range(1, electrodes)] for site in driven]
         returns = [[other for other in neighbors if other not in masked] for neighbors in others]
     currents = np.zeros((len(driven), electrodes), np.int16)
@@ -127,8 +127,8 @@ def one_each(
 
 
 def _from_pairs(probe: ScanSequence, volts: Array, compliance_v: float) -> Impedance:
-    """Return impedances from the voltages of pairs: I (Zᵢ + Zⱼ), solved by least squares over the
-    pairs that conduct. An electrode with no such pair is open."""
+    """Return impedances from the voltages of pairs, I (Zᵢ + Zⱼ), by least squares over conducting
+    pairs. An electrode without such a pair is open."""
     level_ua = int(probe.current_ua.max(initial=0))
     conducts = volts < SATURATED * compliance_v
     pairs = (probe.current_ua[conducts] != 0).astype(np.float64)
@@ -137,10 +137,10 @@ def _from_pairs(probe: ScanSequence, volts: Array, compliance_v: float) -> Imped
 
 
 def judge(volts: Array, current_ma: float | Array, compliance_v: float) -> Impedance:
-    """Return the impedances from the source's voltages (E,), each electrode against all others.
+    """Return impedances from the voltages of each electrode against all others, (E,).
 
-    The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ), all others in parallel; solved by repeated
-    insertion, which converges as the return is small.
+    The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ). It is solved by iteration, which converges
+    because the parallel return is small.
     """
     total = np.asarray(volts, np.float64) / np.asarray(current_ma, np.float64)
     saturated = np.asarray(volts) >= SATURATED * compliance_v
@@ -154,7 +154,7 @@ def judge(volts: Array, current_ma: float | Array, compliance_v: float) -> Imped
 
 
 def _classify(kohm: Array, current_ma: float) -> Impedance:
-    """Return which electrodes are open or shorted, by their impedances, (E,) kΩ."""
+    """Classify electrodes as good, open or shorted by their impedances, (E,) kΩ."""
     finite = kohm[np.isfinite(kohm)]
     middle = np.median(finite) if finite.size else np.inf
     is_open = ~(kohm <= OPEN_FACTOR * middle) | ~np.isfinite(kohm)

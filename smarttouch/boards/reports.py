@@ -28,44 +28,43 @@ class Capabilities:
     max_current_ma: float
     max_slots: int
     time_to_zero_ms: float | None
-    """Longest time from the host's silence to zero current; None if it has no limit."""
+    """Time from the host's last byte to zero current; None if unlimited."""
     firmware: str
     polarities: tuple[Polarity, ...] = ("anodic", "cathodic")
     acknowledges: bool = False
-    """Whether it reports when each sequence begins."""
+    """Whether the board reports the start of each sequence."""
     host_timed: bool = False
-    """Whether this program times its passes: `Driver.write` lasts as long as they do, and reports
-    each. The board's sender thread calls it; a newer sequence replaces one that waits."""
+    """Whether the host times passes: `Driver.write` lasts as long as they do, and reports each. The
+    sender thread calls it; a newer sequence replaces a waiting one."""
     measures: bool = False
-    """Whether it measures the voltage of each slot."""
+    """Whether the board measures the voltage of each slot."""
     force: bool = False
-    """Whether it measures the finger's force."""
+    """Whether the board measures the finger's force."""
     compliance_v: float | None = None
-    """Compliance voltage of its source, if it is known."""
+    """Compliance voltage of the source, if known."""
     load_kohm: float | None = None
-    """Load that the board has beside the skin, if any: it takes a part of the current."""
+    """Load in parallel with the skin, if any, which carries a part of the current."""
     recharges: bool = False
-    """Whether it can end a scan with a recharge phase."""
+    """Whether the board can make recharge phases."""
     emergency_switch: bool = False
-    """Whether it has an emergency switch."""
+    """Whether the board has an emergency switch."""
     kernel_bytes: int = 0
-    """Room for kernels that it keeps."""
+    """Capacity for kernels, bytes."""
     most_kernels: int = 0
-    """Most kernels that it keeps."""
+    """Largest number of stored kernels."""
     packet_bytes: int | None = None
-    """Largest packet that it takes, before it is encoded, if that has a limit."""
+    """Largest decoded packet, if limited."""
     kept_ms: float | None = None
-    """Longest time from the end of this program to zero, if a watchdog process ensures that."""
+    """Time from the end of this program to zero, if a watchdog process ensures it."""
 
     def describe(self) -> list[tuple[str, str]]:
         """Return the capabilities as names and values, for display."""
-        silence = "goes on with its last pattern for ever: lift the finger before you unplug it"
+        silence = "repeats its last pattern forever: lift the finger before you unplug it"
         if self.time_to_zero_ms is not None:
-            silence = f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
+            silence = f"no current {self.time_to_zero_ms:g} ms after the host's last byte"
         if self.kept_ms is not None:
-            silence = (
-                f"zero {self.kept_ms:g} ms after the program ends or hangs; by itself {silence}"
-            )
+            kept = f"zero {self.kept_ms:g} ms after the program ends or hangs"
+            silence = f"{kept}; by itself: {silence}"
         names = ("acknowledgments", "voltages", "finger force")
         reported = compress(names, (self.acknowledges, self.measures, self.force))
         return [
@@ -80,16 +79,16 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class SequenceStart:
-    """When a sequence began.
+    """Start of a sequence.
 
     Attributes
     ----------
     number : int
-        The sequence's, as `Board.send` returned it.
+        Number of the sequence, from `Board.send`.
     time_ns : int
-        By `Board.clock`; too late by the shortest delay of the line.
+        Start by `Board.clock`; too late by the shortest delay of the line.
     board_us : int, µs
-        By the board's own clock, since it was switched on.
+        Start by the board's clock, since it was switched on.
     """
 
     number: int
@@ -99,31 +98,33 @@ class SequenceStart:
 
 @dataclass(frozen=True)
 class BoardReport:
-    """Report of what a board delivered since it was opened."""
+    """Report of what a board has delivered since it was opened."""
 
     sequences: int
     slots: int
     pulses: int
-    """Number of electrode pulses: one for each electrode with current in a slot."""
+    """Number of electrode pulses: one for each electrode with current in each slot."""
     violations: int
     max_current_ma: float
     max_charge_uc: float
     max_net_charge_uc: float
-    """Largest charge left on an electrode: after a discharge; in a host's report, of all pulses."""
+    """Largest charge left on an electrode after a discharge; in a host's report, sum of all
+    pulses."""
     refused_packets: int = 0
-    """Number of packets refused by the board, as old or of another session."""
+    """Number of packets refused by the board, because they were old or of another session."""
     is_busy: bool = False
     """Whether the board still has sequences to deliver."""
     refused_by_host: int = 0
     """Number of packets from the board that were old, of another session, or not requested."""
     by: Literal["board", "host"] = "board"
-    """Author of the report; a host reports what was scanned as far as it can know."""
+    """Author of the report, board or host."""
     most_pulses: int | None = None
-    """Upper bound, if a host knows only a range; pulses and slots are then lower bounds."""
+    """Upper bound of slots if the host knows only a range; slots and pulses are then lower
+    bounds."""
 
 
 class HostStatistics:
-    """Delivery statistics kept by the host, in ``report``."""
+    """Delivery statistics counted by the host, in ``report``."""
 
     def __init__(self, electrodes: int) -> None:
         self.report: BoardReport = BoardReport(0, 0, 0, 0, 0.0, 0.0, 0.0, by="host", most_pulses=0)
@@ -132,14 +133,14 @@ class HostStatistics:
     def add(
         self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None
     ) -> None:
-        """Add a sequence that was scanned ``times`` times, or at least that and at most ``most``
-        times; ``again`` if the sequence itself has been counted before."""
+        """Add a sequence that was scanned ``times`` times, or from ``times`` to ``most`` times.
+        ``again`` means that the sequence itself was counted before."""
         most, old = times if most is None else most, self.report
         pulses = int(np.count_nonzero(sequence.current_ua))
         peaks_ua = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1) * (most > 0)
         charges_pc = peaks_ua * sequence.width_us
         self._ledger.add(sequence, times)
-        # Of each electrode, whatever its sign.
+        # absolute charge of each electrode
         each_uc = sequence.width_us @ np.abs(sequence.current_ua.astype(np.int64)) / 1e6
         self._unsure_uc = self._unsure_uc + (most - times) * each_uc
         net_uc = self._ledger.worst_uc + float(self._unsure_uc.max())
@@ -155,18 +156,18 @@ class HostStatistics:
         )
 
 
-Condition = Literal["good", "open", "short", "unsure"]  # unsure where measurements disagree
+Condition = Literal["good", "open", "short", "unsure"]  # unsure if measurements disagree
 
 
 @dataclass(frozen=True, eq=False)
 class Impedance:
-    """Impedances of all electrodes, measured once."""
+    """Impedances of all electrodes, from one measurement."""
 
-    # (E,): voltage over current at the end of the measuring pulse, each electrode to the skin;
-    # infinite where the board's voltage was not enough
+    # (E,): voltage over current at the end of the measuring pulse, each electrode against the skin;
+    # infinite if the source was saturated
     kohm: NDArray[np.float64]
     condition: tuple[Condition, ...]
-    current_ma: float  # of the measuring pulse
+    current_ma: float  # current of the measuring pulse
 
     @property
     def broken(self) -> tuple[int, ...]:
@@ -179,13 +180,13 @@ class Impedance:
         return all(name == "open" for name in self.condition)
 
 
-# A fault of a board latches it, which keeps it from being opened until a person clears that. The
-# record is a small file in the user's state folder, named by a digest of the device: its USB
-# vendor, product and serial number, else its port. It says "DATE: reason"; older ones are JSON.
+# A fault latches a board: it cannot be opened until a person clears the fault. The record is a
+# small file in the user's state folder, named by a digest of the device (USB vendor, product and
+# serial number, else port). It contains "DATE: reason"; older ones are JSON.
 
 
 def latch(device: str, reason: str) -> None:
-    """Record a fault of a board; the first one stays."""
+    """Record a fault of a board; the first record stays."""
     if find_latch(device) is None:
         path = _record(device)
         make_folder(path.parent)
@@ -193,8 +194,8 @@ def latch(device: str, reason: str) -> None:
 
 
 def find_latch(device: str | None) -> str | None:
-    """Return since when a board is latched, and why; None if it is not. A record that cannot be
-    read counts as a fault."""
+    """Return date and reason of a latched fault, or None. An unreadable record counts as a
+    fault."""
     try:
         return None if device is None else _record(device).read_text("utf-8", "replace")
     except FileNotFoundError:
@@ -204,7 +205,7 @@ def find_latch(device: str | None) -> str | None:
 
 
 def clear_latch(device: str | None) -> str | None:
-    """Remove the record of a board; return what `find_latch` did."""
+    """Remove the record of a board; return its content like `find_latch`."""
     record = find_latch(device)
     if device is not None:
         _record(device).unlink(missing_ok=True)

@@ -1,9 +1,9 @@
 """The run registry: a folder in which each run that may drive a finger announces itself.
 
-``runs/ID.json`` describes a run. ``runs/ID.lock`` is locked until its process ends, however it
-ends. To stop a run, `stop_all` writes ``runs/ID.stop``; the run looks for it every 50 ms, puts its
-boards at zero, and renames it to ``ID.zero`` or ``ID.unconfirmed``. Nothing here signals a process:
-process id and start time only tell which run has ended or did not answer.
+``runs/ID.json`` describes a run. ``runs/ID.lock`` is locked until its process ends in any way. To
+stop a run, `stop_all` writes ``runs/ID.stop``. The run checks for it every 50 ms, sets its boards
+to zero, and renames the file to ``ID.zero`` or ``ID.unconfirmed``. Processes are never signaled:
+process id and start time only show which run has ended or did not answer.
 """
 
 import json
@@ -25,14 +25,14 @@ from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import make_folder, replace_file
 from smarttouch.base.posix import O_NOFOLLOW, try_lock
 
-ANSWER_S = 3.0  # time that `stop_all` gives runs to confirm zero
+ANSWER_S = 3.0  # longest wait of `stop_all` for runs to confirm zero
 _LOOK_S = 0.05
-_LOOKS_PER_CHECK = 20  # once a second a run checks that its files are still there
+_LOOKS_PER_CHECK = 20  # a run checks once a second that its files exist
 _LOCK_S = 2.0
 
 
 class Answer(NamedTuple):
-    """What is known of a run after a stop, in a sentence, and whether it has confirmed zero."""
+    """Result of stopping a run: a sentence, and whether the run has confirmed zero."""
 
     sentence: str
     at_zero: bool = False
@@ -40,21 +40,21 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True)
 class _Run:
-    """A run as its file describes it; without a host if the file cannot be read."""
+    """Run described by its file; the host is empty if the file cannot be read."""
 
     id: str
     host: str = ""
     boot: str = ""
     namespace: str = ""
     pid: int = 0
-    start_ns: int = 0  # 0 if the system does not say when a process started
-    current_ua: int = 0  # the most that all its boards may drive together
+    start_ns: int = 0  # start time of the process; 0 if unknown
+    current_ua: int = 0  # largest total current of all its boards
 
     @classmethod
     def read(cls, run_id: str) -> "_Run":
         with suppress(OSError, ValueError, TypeError):
             run = cls(**json.loads(_read(registry_folder() / f"{run_id}.json")) | {"id": run_id})
-            # A file of another program would not hold what can be added.
+            # Reject files of other programs, with other types.
             if run.host and run.pid + run.start_ns + run.current_ua:
                 return run
         return cls(run_id)
@@ -78,7 +78,7 @@ class _Run:
 
     @property
     def is_here(self) -> bool:
-        """Whether its process id means the same process to this one."""
+        """Whether its process id is valid in this PID namespace."""
         return (self.host, self.boot, self.namespace) == _place()
 
     @property
@@ -86,7 +86,7 @@ class _Run:
         with suppress(OSError):
             number = os.open(self.path("lock"), os.O_RDWR | O_NOFOLLOW)
             try:
-                # Shared, so that two processes that look at once do not see each other's lock.
+                # Use a shared lock, so that simultaneous checks do not see each other's lock.
                 return not try_lock(number, shared=True)
             finally:
                 os.close(number)
@@ -100,16 +100,16 @@ class _Run:
         return _start_ns(self.pid) != self.start_ns if self.start_ns else not self.is_locked
 
     def answer(self, until_s: float) -> Answer:
-        """Wait for the answer of a run that was asked, and put into words what is known."""
+        """Wait for the answer of a run to a stop, and describe the result."""
         name, late = self.name, False
         while not late:
             late = time.monotonic() > until_s
-            # In this order: a run may answer just before it ends.
+            # Keep this order: a run may answer just before it ends.
             ended = self.has_ended
             withdrawn = registry_folder().exists() and not (self.has("json") or self.is_locked)
             if self.has("unconfirmed"):
                 return Answer(f"{name} could not confirm zero: switch the board off")
-            # A run withdraws only once its boards are closed, perhaps before it was asked.
+            # A run withdraws only after its boards are closed, perhaps before the stop.
             if withdrawn or (self.has("zero") and not self.has("stop")):
                 self.remove("stop")
                 return Answer(f"{name} has confirmed zero", at_zero=True)
@@ -120,27 +120,27 @@ class _Run:
             return Answer(f"{name} did not answer: switch the board off")
         if self.host not in ("", socket.gethostname()):
             return Answer(f"1 run is on host {self.host}: stop it there")
-        # Of another start of this computer, of a container, or no file of ours. A run that lives
-        # ends without it.
+        # The file is from an earlier boot or from a container, or is invalid. A living run ends
+        # without it.
         self.remove("json", "lock", "stop")
         return Answer(f"{name} did not answer: if it still drives a board, switch that off")
 
 
 class RunEntry:
-    """The entry of this process in the run registry.
+    """Entry of this process in the run registry.
 
-    ``on_stop`` is called from a thread with the reason for which this process must end; it returns
-    whether all boards have confirmed zero.
+    ``on_stop`` is called from a thread with the reason to end; it returns whether all boards have
+    confirmed zero.
     """
 
     def __init__(self, on_stop: Callable[[str], bool]) -> None:
-        self.lost_a_board = False  # whether one was closed that had not confirmed zero
+        self.lost_a_board = False  # whether a board was closed without confirming zero
         self._on_stop, self._over = on_stop, threading.Event()
         self._run = _Run(uuid4().hex, *_place(), os.getpid(), _start_ns(os.getpid()))
         make_folder(registry_folder())
         flags = os.O_RDWR | os.O_CREAT | O_NOFOLLOW
         self._lock_number = os.open(self._run.path("lock"), flags, 0o600)
-        # Where the file system has no locks, the run is asked all the same.
+        # Without file locks the run is still asked to stop.
         try_lock(self._lock_number)
         self._announce(0)
         threading.Thread(target=self._watch, name="stop requests", daemon=True).start()
@@ -151,8 +151,8 @@ class RunEntry:
         return self._run.has("stop")
 
     def declare(self, current_ua: int, most_ua: int = 0) -> int:
-        """Enter the current that all boards of this process may drive together, and return the
-        sum of all runs, µA; if it rises above ``most_ua``, nothing is entered."""
+        """Record the total current of this process's boards, and return the sum over all runs, µA.
+        If the sum would exceed ``most_ua``, nothing is recorded."""
         if current_ua <= self._run.current_ua:
             self._announce(current_ua)
             return current_ua
@@ -175,7 +175,7 @@ class RunEntry:
         return total_ua
 
     def withdraw(self) -> None:
-        """Remove the entry; a stop under way learns whether all boards have confirmed zero."""
+        """Remove the entry; tell a waiting stop whether all boards have confirmed zero."""
         self._over.set()
         if self.lost_a_board:
             with suppress(OSError):
@@ -185,7 +185,7 @@ class RunEntry:
         self._run.remove("json", "lock", "stop", "zero")
 
     def close(self) -> None:
-        """Release the lock: of a forked process, whose entry stays the parent's."""
+        """Release the lock in a forked process; the entry stays with the parent."""
         os.close(self._lock_number)
 
     def _announce(self, current_ua: int) -> None:
@@ -196,7 +196,7 @@ class RunEntry:
         looks = 0
         while not self._over.wait(_LOOK_S):
             looks, reason = looks + 1, "smarttouch stop" * self.is_asked
-            # A stop would not find this run any more; a disk that fails says nothing.
+            # Without its files a stop cannot find this run. Errors of the disk are ignored.
             for kind in ("json", "lock") if looks % _LOOKS_PER_CHECK == 0 else ():
                 with suppress(OSError):
                     if not (reason or self._run.path(kind).exists() or self._over.is_set()):
@@ -206,21 +206,21 @@ class RunEntry:
 
     def _answer(self, at_zero: bool) -> None:
         with suppress(OSError):
-            # Renamed, as a full disk has no space for words.
+            # Rename instead of writing, which a full disk would prevent.
             self._run.path("stop").replace(self._run.path("zero" if at_zero else "unconfirmed"))
 
 
 def stop_all() -> list[Answer]:
-    """Ask every announced run of this user to put its boards at zero, and keep all programs that
-    have started by now from opening a board; return what is known of each run.
+    """Stop all announced runs of this user, and prevent running programs from opening boards.
 
-    Answers are awaited for 3 s. A run that cannot be asked does not keep others from being asked.
+    Return the result for each run. The wait for answers is 3 s. An error with one run does not
+    prevent stopping others.
     """
     global _begun_ns
     problems, asked = [], []
-    # The program that stops all others may itself put a board at zero.
+    # This program may still set a board to zero itself.
     _begun_ns = now_ns()
-    # First: a run that is not listed yet finds the mark before it opens a board.
+    # Write the mark first: a run that is not listed yet sees it before it opens a board.
     try:
         make_folder(registry_folder())
         replace_file(registry_folder() / "stopped", f"{_place()[1]} {_begun_ns}".encode())
@@ -233,7 +233,7 @@ def stop_all() -> list[Answer]:
             run.remove("json", "lock", "stop", "zero", "unconfirmed")
             continue
         try:
-            # It may confirm now what it could not before; a zero that it has confirmed is for good.
+            # An unconfirmed run may confirm now; a confirmed zero is permanent.
             run.remove("unconfirmed")
             run.path("stop").touch(0o600)
             asked.append(run)
@@ -241,7 +241,8 @@ def stop_all() -> list[Answer]:
             problems.append(f"{run.name} cannot be asked ({error}): switch the board off")
     deadline_s = time.monotonic() + ANSWER_S
     answers = [run.answer(deadline_s) for run in asked]
-    # Start times come in steps of 10 ms: programs started from now on are later than the mark.
+    # Start times have steps of 10 ms; wait, so that programs started afterwards are later than the
+    # mark.
     time.sleep(0.02)
     return [*answers, *map(Answer, problems)]
 
@@ -252,7 +253,7 @@ def registry_folder() -> Path:
 
 
 def stopped_since_start() -> bool:
-    """Return whether `stop_all` was called after this program was started."""
+    """Return whether `stop_all` was called after the start of this program."""
     with suppress(OSError, ValueError):
         boot, time_ns = _read(registry_folder() / "stopped").split()
         return boot == _place()[1] and _begun_ns < int(time_ns) <= now_ns()
@@ -260,8 +261,8 @@ def stopped_since_start() -> bool:
 
 
 def _start_ns(pid: int) -> int:
-    """Return when a process started, by the clock of `now_ns`; 0 if it has ended or the system
-    does not say."""
+    """Return the start time of a process, by the clock of `now_ns`; 0 if it has ended or the time
+    is unknown."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         return 0 if fields[0] == "Z" else int(fields[19]) * 10**9 // os.sysconf("SC_CLK_TCK")
@@ -269,11 +270,11 @@ def _start_ns(pid: int) -> int:
         return 0
 
 
-_begun_ns = _start_ns(os.getpid()) or now_ns()  # of the program: its forks count as started then
+_begun_ns = _start_ns(os.getpid()) or now_ns()  # start of the program, also for its forks
 
 
 def _place() -> tuple[str, str, str]:
-    """Return host, boot and PID namespace: within them a process id is of one process."""
+    """Return host, boot id and PID namespace, in which a process id is unique."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return socket.gethostname(), boot, str(Path("/proc/self/ns/pid").readlink())
@@ -282,7 +283,7 @@ def _place() -> tuple[str, str, str]:
 
 
 def _listed() -> list[_Run]:
-    """Return all runs that are announced, or that are just announcing themselves."""
+    """Return all announced runs, including those that are just being announced."""
     try:
         paths = [*registry_folder().iterdir()]
     except FileNotFoundError:
@@ -290,12 +291,12 @@ def _listed() -> list[_Run]:
     except OSError as error:
         message = f"cannot look for runs in {error.filename}: {error.strerror}"
         raise SmartTouchError(message) from None
-    # By their locks too: a listing may miss a file that is just being replaced.
+    # Also use lock files: a listing may miss a file that is being replaced.
     names = sorted({path.stem for path in paths if path.suffix in (".json", ".lock")})
     runs = map(_Run.read, names)
     return [run for run in runs if run.path("json").exists() or run.is_locked]
 
 
 def _read(path: Path) -> str:
-    # Nothing is read from a pipe, which might never end.
+    # Do not read pipes, which might block.
     return path.read_text() if path.is_file() else ""

@@ -1,8 +1,8 @@
-"""Shutdown of this process: what a signal or ``smarttouch stop`` must bring to zero and end.
+"""Shutdown of this process by a signal or by ``smarttouch stop``.
 
-A process has one entry in the run registry, for its open boards, its runs and a command that will
-open a board. While there is one, SIGTERM, SIGHUP and Ctrl-C bring all boards to zero from a thread,
-whatever the main thread does, and then end the process.
+A process has one entry in the run registry, for its open boards, its runs, and a command that will
+open a board. While there is an entry, SIGTERM, SIGHUP and Ctrl-C first set all boards to zero from
+a thread, whatever the main thread does, and then end the process.
 """
 
 import os
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from smarttouch.boards.board import Board
 
 ZERO_WITHIN_S = 2.0  # time for boards to confirm zero
-ENDS_WITHIN_S = 5.0  # for a command to end once its boards are at zero
+ENDS_WITHIN_S = 5.0  # time for a command to end after its boards are at zero
 
 
 @dataclass(eq=False)
 class Command:
-    """A command of the command line while it runs.
+    """Running command of the command line.
 
-    If ``orderly``, it ends by itself once ``stop`` is asked; otherwise a signal raises `RunStopped`
-    in it. ``give_up`` ends the process if that takes longer than ``patience_s``.
+    If ``orderly``, it ends by itself after a request to ``stop``; otherwise a signal raises
+    `RunStopped`. ``give_up`` ends the process if that takes longer than ``patience_s``.
     """
 
     give_up: Callable[[int], None]
@@ -42,26 +42,26 @@ class Command:
 
     @property
     def number(self) -> int:
-        """Number of the signal that ends it, 0 if none does."""
+        """Number of the signal that ends the command, or 0."""
         return 0 if _process.signals is None else _process.signals.number
 
 
 class _Process:
-    """Boards, runs and command of this process, its entry in the registry and its signals."""
+    """Boards, runs, command, registry entry and signals of this process."""
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
-        # Also boards that nothing else refers to any more: they may go on.
+        # includes boards without other references, which may continue
         self.boards: dict[Board, int] = {}
-        self.runs: list[StopRequest] = []  # of runs, and of the command once it will open a board
+        self.runs: list[StopRequest] = []  # of runs, and of a command that will open a board
         self.command: Command | None = None
         self.signals: _Signals | None = None
-        self.in_run = False  # whether the main thread is in a run, which ends by itself
-        self.reason = ""  # for which this process drives no board any more
+        self.in_run = False  # whether the main thread executes a run, which ends by itself
+        self.reason = ""  # reason why this process may not open boards any more
         self.entry: RunEntry | None = None
 
     def forget(self) -> None:
-        """Leave boards, runs and signals to the parent of this forked process."""
+        """In a forked process, leave boards, runs and signals to the parent."""
         if self.entry is not None:
             self.entry.close()
         if self.signals is not None:
@@ -69,9 +69,9 @@ class _Process:
         vars(self).update(vars(_Process()))
 
     def announce(self) -> None:
-        """Announce this process and the current of all its boards; refuse what it begins if it was
-        stopped, or if that is too much together with other runs."""
-        # Imported here, so that the program's help loads no profile.
+        """Announce this process and the total current of its boards. Raises BoardError if the
+        process was stopped, or if the current of all runs together is too large."""
+        # Import late, so that help does not load profiles.
         from smarttouch.profile.ceilings import CEILING_USER_MA
 
         self.handle_signals()
@@ -79,7 +79,7 @@ class _Process:
         try:
             if self.entry is None and not self.reason:
                 self.entry = RunEntry(self._stop_requested)
-            # In this order: a stop leaves its mark before it looks for runs.
+            # Keep this order: a stop writes its mark before it lists runs.
             if self.reason or self.entry is None or self.entry.is_asked or stopped_since_start():
                 raise BoardStoppedError(
                     f"this program was stopped by {self.reason or 'smarttouch stop'}, and drives "
@@ -104,7 +104,7 @@ class _Process:
             self.signals = self.signals or _Signals(self.command)
 
     def withdraw(self) -> None:
-        """Declare what is left, or withdraw the entry where no board and no run is."""
+        """Update the entry, or withdraw it if there are no boards and runs left."""
         entry = self.entry
         if self.boards or self.runs:
             if entry is not None:
@@ -118,19 +118,19 @@ class _Process:
             self.signals = None
 
     def end(self, reason: str, *, for_good: bool = True) -> bool:
-        """Bring all boards to zero and ask all runs to end; return whether all boards have
-        confirmed zero. ``for_good``: no board opens any more."""
-        # Without the lock, which may be held while the disk does not answer: a board that is
-        # entered now finds the reason, or is among these.
+        """Set all boards to zero and ask all runs to end; return whether all boards have confirmed
+        zero. ``for_good`` means that no board can be opened any more."""
+        # Do not take the lock, which may be blocked by the disk. A board entered now sees the
+        # reason, or is in the list.
         if for_good:
             self.reason = self.reason or reason
         boards, entry = [*self.boards], self.entry
         for request in [*self.runs, *([self.command.stop] if self.command else [])]:
-            # Before its board refuses.
+            # End runs before their boards reject sequences.
             request.ask(reason, at_once=False)
 
         def bring_to_zero(board: "Board") -> None:
-            # Whatever it raises, it has not confirmed zero.
+            # A board that raises has not confirmed zero.
             with suppress(Exception):
                 (board.halt if for_good else board.stop)()
                 leave(board)
@@ -138,7 +138,7 @@ class _Process:
         for board in boards:
             threading.Thread(target=bring_to_zero, args=(board,), daemon=True).start()
         deadline_s = time.monotonic() + ZERO_WITHIN_S
-        # One that fails may still be confirmed by the run that ends, when it closes its board.
+        # The run may still confirm zero when it closes its board.
         while self.boards and time.monotonic() < deadline_s:
             time.sleep(0.002)
         # A board that has not confirmed zero stays announced until it is closed.
@@ -152,52 +152,52 @@ class _Process:
 
 
 class _Signals:
-    """Handler of the signals that would end this process, or raise KeyboardInterrupt in it.
+    """Handler of signals that would end this process or raise KeyboardInterrupt.
 
-    It locks nothing. The system writes the number of each signal to a socket, also while the main
-    thread cannot run a handler; where an event loop has the system write to its own, the handler
-    does. A thread reads them.
+    It takes no locks. The system writes the number of each signal to a socket, even if the main
+    thread cannot run a handler; if an event loop uses that mechanism, the handler writes instead. A
+    thread reads the socket.
     """
 
     def __init__(self, command: Command | None) -> None:
-        self.number = 0  # of the first signal
+        self.number = 0  # number of the first signal
         self._raised, self._command = False, command
         self._hears, self._wakes = socket.socketpair()
         self._wakes.setblocking(False)
         self._set_wakeup(self._wakes.fileno())
         self._before: dict[int, Any] = {}
         for number in SIGNALS:
-            # What a program handles by itself, and what it ignores, stays as it is.
+            # Do not replace a program's own handlers, nor ignored signals.
             if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                 self._before[number] = signal.signal(number, self._handle)
         threading.Thread(target=self._work, name="signals", daemon=True).start()
 
     def close(self, *, forked: bool = False) -> bool:
-        """Handle signals no more; return False if that is impossible or a command is ending."""
+        """Stop handling signals; return False if that is impossible or a command is ending."""
         ending = self._command is not None and self.number and not forked
         if ending or threading.current_thread() is not threading.main_thread():
             return False
         for number in filter(self._is_ours, self._before):
             signal.signal(number, self._before[number])
         self._set_wakeup(-1)
-        self._wakes.close()  # which ends the thread
+        self._wakes.close()  # ends the thread
         if forked:
             self._hears.close()
         return True
 
     def end_main_thread(self) -> None:
-        """Raise what a signal means in the main thread, if one has come."""
+        """Raise the exception for a received signal, in the main thread."""
         if self.number == signal.SIGINT and self._command is None:
             self.number = 0
             interrupt(KeyboardInterrupt())
         elif self.number and not self._raised:
-            # Once: what it unwinds must not be cut short.
+            # Raise only once, so that cleanup is not interrupted.
             self._raised = True
             interrupt(RunStopped(self.number, _process.reason or None))
 
     def _set_wakeup(self, descriptor: int) -> bool:
-        """Let the system write signals to a descriptor, unless an event loop has set its own;
-        return whether it has written them to ours."""
+        """Let the system write signals to a descriptor, unless an event loop has set its own.
+        Return whether our descriptor was set before."""
         before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
         if before not in (-1, self._wakes.fileno()):
             signal.set_wakeup_fd(before)
@@ -207,7 +207,7 @@ class _Signals:
         first, self.number = not self.number, self.number or number
         if not self._set_wakeup(self._wakes.fileno()):
             self._wakes.send(bytes([number]))
-        # A second Ctrl-C interrupts a program's run that hangs.
+        # A second Ctrl-C interrupts a hanging run of a program.
         orderly = self._command.orderly if self._command else _process.in_run and first
         if not orderly:
             self.end_main_thread()
@@ -221,7 +221,8 @@ class _Signals:
                 again = self._command is None and number == signal.SIGINT
                 _process.end(SIGNALS[signal.Signals(number)], for_good=not again)
                 if self._command is not None:
-                    # Every board is at zero, or that is unknown: what blocks the end is cut off.
+                    # Boards are at zero, or their state is unknown: end the process even if
+                    # something blocks.
                     time.sleep(self._command.patience_s)
                     self._command.give_up(number)
         self._hears.close()
@@ -233,13 +234,13 @@ if hasattr(os, "register_at_fork"):  # not on Windows
 
 
 def enter(board: "Board") -> None:
-    """Announce a board that is about to be opened, if a stop must reach it; raise BoardError if
-    this program was stopped, or the displays of this user could drive too much together."""
+    """Announce a board before it is opened, if a stop must reach it. Raises BoardError if this
+    program was stopped, or if all displays of the user together could drive too much current."""
     if not board.announced:
         return
     with _process.lock:
         if board in _process.boards:
-            # The thread that fails would withdraw the board that the other has open.
+            # A failing thread would withdraw the board that the other has opened.
             raise BoardError("another thread opens or closes the board: try again")
         _process.boards[board] = board.budget_ua
         try:
@@ -250,7 +251,7 @@ def enter(board: "Board") -> None:
 
 
 def leave(board: "Board", at_zero: bool = True) -> None:
-    """Withdraw a board that is closed; a stop reports one that has not confirmed zero."""
+    """Withdraw a closed board; ``at_zero`` is whether it has confirmed zero."""
     with _process.lock:
         if _process.boards.pop(board, None) is not None and _process.entry is not None:
             _process.entry.lost_a_board |= not at_zero
@@ -258,7 +259,7 @@ def leave(board: "Board", at_zero: bool = True) -> None:
 
 
 def expect(board: "Board") -> None:
-    """Announce the command that runs, if it will open a board that a stop must reach."""
+    """Announce the running command, if it will open a board that a stop must reach."""
     if _process.command is not None and board.announced:
         with _process.lock:
             _process.runs.append(_process.command.stop)
@@ -266,14 +267,14 @@ def expect(board: "Board") -> None:
 
 
 def current_command() -> Command:
-    """Return the command that runs in this process; outside of one, a command that nothing ends."""
+    """Return the running command of this process, or a command without effect."""
     return _process.command or Command(os._exit)
 
 
 @contextmanager
 def running_command(give_up: Callable[[int], None]) -> Iterator[Command]:
-    """Let signals and stops end a command in a block; ``give_up`` ends the process if something
-    blocks the end."""
+    """Let signals and stops end a command during the block; ``give_up`` ends the process if
+    something blocks."""
     _process.command = command = Command(give_up)
     _process.handle_signals()
     try:
@@ -292,8 +293,9 @@ def running_command(give_up: Callable[[int], None]) -> Iterator[Command]:
 
 @contextmanager
 def stoppable_run(stop: StopRequest, board: "Board") -> Iterator[Callable[[], None]]:
-    """Announce a run for a block; after a signal in the main thread, RunStopped or
-    KeyboardInterrupt ends the block, or follows it once what it yields was called."""
+    """Announce a run during the block. After a signal, RunStopped or KeyboardInterrupt ends the
+    block in the main thread; after calling the yielded function, it is raised at the end of the
+    block instead."""
     if not board.announced:
         yield lambda: None
         return
@@ -320,7 +322,7 @@ def stoppable_run(stop: StopRequest, board: "Board") -> Iterator[Callable[[], No
 
 
 def _interrupt_main_thread() -> None:
-    """Send SIGTERM to the main thread of this process, so that it ends what it waits for."""
+    """Send SIGTERM to the main thread of this process, to end its waits."""
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
     else:

@@ -1,9 +1,8 @@
-"""Published kits, which check nothing and acknowledge little: their current scale, and sequences
-for their single source.
+"""Common parts of published kits: their current scale, and sequences for a single source.
 
-A measured scale may differ from the board's nominal one by 30 %. That covers how boards of one kind
-differ, and excludes mistakes: boards of the family lie a factor of 1.77 or more apart, peak to peak
-for peak is a factor of 2, and mA for µA one of 1,000.
+A measured scale may differ from the nominal one by 30 %. This covers the differences between boards
+of one kind, but detects mistakes: other boards of the family differ by a factor of 1.77 or more,
+peak-to-peak values by 2, and units by 1,000.
 """
 
 import math
@@ -16,15 +15,15 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-BOOT_S = 1.0  # boot time of a kit that resets when its port is opened
-BAND = 0.3  # accepted deviation from the nominal scale, up and down
+BOOT_S = 1.0  # time to boot, as kits reset when the port is opened
+BAND = 0.3  # accepted relative deviation from the nominal scale
 NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
-"""Current per count of each board's converter; the kajimoto61's 4096 are 10 mA."""
+"""Current per count of each board's converter; 4096 counts of the kajimoto61 are 10 mA."""
 
 
 def scale_of(kind: str, measured_ua: float | None) -> float:
-    """Return the current per count of a kind of board, µA; raise if a measured one is out of
-    band."""
+    """Return the current per count of a kind of board, µA. Raises BoardError if a measured one
+    deviates too much."""
     nominal_ua = NOMINAL_UA[kind]
     if measured_ua is not None and not in_band(measured_ua / nominal_ua):
         raise BoardError(
@@ -36,13 +35,13 @@ def scale_of(kind: str, measured_ua: float | None) -> float:
 
 
 def require_kit(kind: str, port: str, output: Output | None, profile: str) -> float:
-    """Return the current scale of a kit; raise BoardError unless it has a port and a fitting
+    """Return the current scale of a kit. Raises BoardError without a port or with an unsuitable
     profile."""
     if not port:
         raise BoardError(f"{kind}: needs a port, for example {kind}:/dev/ttyUSB0")
     if output is not None and output.kind != "one-against-all":
         raise BoardError(
-            f"a {kind} board is one-against-all, the profile needs {output.kind}: use the profile "
+            f"a {kind} board is one-against-all, but the profile needs {output.kind}: use profile "
             f"{profile}"
         )
     return scale_of(kind, None if output is None else output.ua_per_count)
@@ -52,10 +51,10 @@ def steps_of(
     kind: str, scale_ua: float, limits: SafetyLimits, width_us: float, level_ua: NDArray[np.int64],
     electrode: NDArray[np.intp], counts: int = 1,
 ) -> NDArray[np.int64]:  # fmt: skip
-    """Return levels of electrodes, (S,) µA, as whole steps of so many counts. Neither rounding nor
-    a wrong scale passes the limits of current, and of charge at a pulse width."""
+    """Convert levels of electrodes, (S,) µA, to integer steps of ``counts`` counts. Neither
+    rounding nor a wrong scale can exceed the limits of current and charge."""
     most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
-    # A limit that is a whole number of steps survives the division.
+    # The tolerance keeps limits that are a multiple of a step.
     most = np.floor(most_ua / (counts * max(scale_ua, NOMINAL_UA[kind])) + 1e-9)[electrode]
     return np.minimum(np.rint(level_ua / (counts * scale_ua)), most).astype(np.int64)
 
@@ -68,7 +67,8 @@ def measured_scale(
     kind: str, before_ua: float | None, volts: float, ohm: float, current_ma: float
 ) -> tuple[float, float | None]:
     """Return the ratio of measured to nominal current, from the voltage across a resistor, and the
-    board's scale by it, µA per count; None if the board has no scale. Raise if out of band."""
+    resulting scale, µA per count; None if the board has no scale. Raises BoardError if the ratio
+    deviates too much."""
     for what, value in (("volts", volts), ("ohm", ohm), ("current_ma", current_ma)):
         if not 0 < value < math.inf:
             raise BoardError(f"{what} {value:g} must be above 0 and finite")
@@ -81,14 +81,15 @@ def measured_scale(
         )
     scale_ua = None if before_ua is None else before_ua * ratio
     if scale_ua is not None and kind in NOMINAL_UA:
-        # The band is around the nominal scale, also where the profile has a measured one.
+        # Compare with the nominal scale, even if the profile has a measured one.
         scale_of(kind, float(f"{scale_ua:.4g}"))
     return ratio, scale_ua
 
 
 def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Return the electrode that each slot drives alone, (S,), and its current, (S,) µA, positive
-    cathodic; raise BoardError if a slot is anything else, or an electrode has two."""
+    """Return the electrode that each slot drives against all others, (S,), and its current, (S,)
+    µA, positive cathodic. Raises BoardError for other slots, or for two slots with one
+    electrode."""
     current = sequence.current_ua.astype(np.int64)
     electrode = sequence.site.astype(np.intp)
     rows = np.arange(sequence.slots)
@@ -98,7 +99,7 @@ def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[n
     wrong = (others > 0).any(axis=1) | (np.abs(current).max(axis=1, initial=0) > np.abs(alone_ua))
     if wrong.any():
         raise BoardError(
-            f"slot {int(wrong.argmax())} is no pattern of one electrode against all others, and "
+            f"slot {int(wrong.argmax())} does not drive one electrode against all others, and "
             "this board can make no other: use its own profile",
             slot=int(wrong.argmax()),
         )

@@ -1,13 +1,12 @@
-"""Driver of the eTactileKit, which scans on its own clock; the host loads its patterns.
+"""Driver of the eTactileKit, which scans by its own clock; the host loads its patterns.
 
-Its bytes, and what guards them, are in `etactilekit_line`.
+Its wire format and safe dialogues are in `etactilekit_line`.
 
-A scan is fixed when it starts, so a pattern is scanned only if it is there at that moment. Pulses
-are enabled, as many scans as wanted start, and pulses are stopped again; in between the next
-pattern is loaded. The board does not report its scans, but its readings change with each of them,
-so two queries bracket one, and from then on all others are known (`ScanLock`). Until then (before
-the first measured pulse, or on a slow line), a pattern stays for longer than a whole period: it is
-scanned once or twice, and the report has that range.
+A scan is fixed at its start, so a pattern is scanned only if it is loaded by then. The driver loads
+a pattern, enables pulses for the requested number of scans, and stops pulses again. The board does
+not report scans, but its readings change with each. So two queries bracket a scan, and then the
+times of all others are known (`ScanLock`). Before that, or on a slow line, a pattern stays for more
+than one period. It is then scanned once or twice, and the report contains this range.
 """
 
 import math
@@ -44,36 +43,36 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence, ScanTiming
 
-FIRMWARES = ("71adee2", "newest")  # by their first commits in the repository
-NEWEST_ZERO_MS = 520.0  # newest firmware: ends its scan 500 ms after the host's last byte
-IDLE_S = 0.1  # time without a sequence after which the pattern on the board becomes zeros
+FIRMWARES = ("71adee2", "newest")  # known firmware versions, by commit
+NEWEST_ZERO_MS = 520.0  # the newest firmware stops 500 ms after the host's last byte
+IDLE_S = 0.1  # time without a sequence after which zeros are loaded
 VOLTS_PER_COUNT = 0.0893
-DUMMY_KOHM = 66.0  # load fitted in parallel with the skin; it takes V / 66 kΩ of the current
-COMPLIANCE_V = 300.0  # limit of its switches (HV513), the largest voltage of a reading
-LONGEST_LOAD = 0.97  # largest part of a period that a scan may take
-OPEN_SHARE = 0.95  # of the voltage without a finger: if all slots reach it, it is lifted
+DUMMY_KOHM = 66.0  # load in parallel with the skin, which carries V / 66 kΩ
+COMPLIANCE_V = 300.0  # limit of the switches (HV513), the largest reading
+LONGEST_LOAD = 0.97  # largest share of a period that a scan may take
+OPEN_SHARE = 0.95  # share of the voltage without a finger that all slots reach if it is lifted
 
-LOW, HIGH = 4, 12  # readings below 4 had no pulse, from 12 on they had one: .3 and 1 V
+LOW, HIGH = 4, 12  # readings below 4 (0.3 V) mean no pulse, from 12 (1 V) a pulse
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
-WIDE_NS = 1_000_000  # above this uncertainty of a start, a query is sent in mid-scan
-KEEP_NS = 100_000_000  # longest silence to the newest firmware
-TOLERANCE = 200e-6  # of the ratio of two free-running clocks, each within 100 ppm
-WIDEST = 0.25  # part of a period: a scan's start with a larger uncertainty counts as unknown
+WIDE_NS = 1_000_000  # uncertainty of a start above which a query is sent during a scan
+KEEP_NS = 100_000_000  # longest pause between bytes to the newest firmware
+TOLERANCE = 200e-6  # of the ratio of two clocks, each within 100 ppm
+WIDEST = 0.25  # share of a period: with a larger uncertainty the start of a scan is unknown
 
 
 class ScanLock:
-    """Bounds on the start of each scan of a board, learned from brackets.
+    """Bounds of the start of each scan, learned from brackets.
 
-    A bracket says that a scan started after one moment and before another. Both are certain,
-    however late the host woke up. So are the bounds on the scans after it, as the board's period
-    is known within the tolerance of two clocks.
+    A bracket means that a scan started between two times. It is certain even if the host was
+    delayed. The bounds of later scans follow from the period, within the tolerance of the two
+    clocks.
 
     Attributes
     ----------
     period_ns : int
         Period of the scans.
     last : Span or None
-        Start of the scan of the last bracket, which has number 0; None if it is not known.
+        Start of the scan of the last bracket, which has number 0; None if unknown.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -81,21 +80,22 @@ class ScanLock:
         self.last: Span | None = None
 
     def scan(self, number: int) -> Span:
-        """Return when a scan starts; ``last`` must be known."""
+        """Return the start of a scan; ``last`` must be known."""
         assert self.last is not None
         away_ns = number * self.period_ns
         unsure_ns = math.ceil(abs(away_ns) * TOLERANCE)
         return Span(self.last.early + away_ns - unsure_ns, self.last.late + away_ns + unsure_ns)
 
     def first_after(self, time_ns: int) -> int:
-        """Return the number of the first scan that certainly starts after a moment."""
+        """Return the number of the first scan that certainly starts after a time."""
         number = self._near(time_ns) - 1
         while self.scan(number).early <= time_ns:
             number += 1
         return number
 
     def starts(self, begin: Span, end: Span) -> tuple[int, int]:
-        """Return the least and the largest number of scans that started between two events."""
+        """Return the smallest and largest possible number of scans that started between two
+        events."""
         if self.last is None:
             least = max(0, end.early - begin.late) / self.period_ns * (1 - TOLERANCE)
             possible = max(0, end.late - begin.early) / self.period_ns * (1 + TOLERANCE)
@@ -108,7 +108,7 @@ class ScanLock:
         )
 
     def learn(self, bracket: Span) -> None:
-        """Take a bracket in which a scan started; one that is too wide is ignored."""
+        """Update by a bracket in which a scan started; ignore it if it is too wide."""
         if self.last is None:
             if bracket.late - bracket.early <= WIDEST * self.period_ns:
                 self.last = bracket
@@ -118,11 +118,11 @@ class ScanLock:
         spans = [Span(max(s.early, bracket.early), min(s.late, bracket.late)) for s in scans]
         possible = [span for span in spans if span.early <= span.late]
         if len(possible) <= 1:
-            # One that contradicts the bounds: the board was restarted, or stood still.
+            # A contradiction to the bounds means that the board was restarted or paused.
             self.last = possible[0] if possible else None
 
     def check(self, time_ns: int) -> None:
-        """Forget the scans if their starts have become too uncertain by now."""
+        """Reset if the starts of scans have become too uncertain."""
         if self.last is not None:
             scan = self.scan(self._near(time_ns))
             if scan.late - scan.early > WIDEST * self.period_ns:
@@ -135,23 +135,23 @@ class ScanLock:
 
 @dataclass
 class ShownPattern:
-    """Pattern that is being pulsed, and when that began."""
+    """Current pattern, and the time when its pulses were enabled."""
 
     proved: ProvedSequence
     since: Span
-    before: Readings  # of the previous scan
-    is_seen: bool = False  # whether readings have shown some of its pulses
+    before: Readings  # readings of the previous scan
+    is_seen: bool = False  # whether readings have shown its pulses
 
     def pulsed(self, readings: Readings) -> NDArray[np.bool_]:
-        """Return which outputs it has certainly pulsed, by the present readings, (N,) bool."""
+        """Return which outputs have certainly pulsed, by new readings, (N,) bool."""
         return (self.before < LOW) & (readings >= HIGH)
 
 
 class ETactileKitDriver(Driver):
-    """The eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
+    """Driver of the eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
-    ``?firmware=71adee2`` or ``newest`` after the port names the firmware, which no query tells.
-    Without it nothing is taken for granted that only one of them does.
+    ``?firmware=71adee2`` or ``newest`` states the firmware, which cannot be queried. Without it,
+    the driver assumes only what both versions do.
     """
 
     default_profile: ClassVar[str] = "etactilekit-32"
@@ -187,17 +187,17 @@ class ETactileKitDriver(Driver):
         self._begin()
 
     def _begin(self) -> None:
-        """Start without knowledge of the board's scans."""
-        self._on_board = b""  # pattern of the board; empty if not certain
-        self._settings: Settings | None = None  # what it pulses with; None if not certain
-        self._scan_ns = 0  # how long its scans take
+        """Reset all knowledge of the board's scans."""
+        self._on_board = b""  # pattern on the board; empty if uncertain
+        self._settings: Settings | None = None  # settings on the board; None if uncertain
+        self._scan_ns = 0  # duration of its scans
         self._lock = ScanLock(1)
         self._shown: ShownPattern | None = None
-        # The time of the last query, and its readings.
+        # time of the last query, and its readings
         self._before: tuple[int, Readings] | None = None
-        self._answer_ns = 0  # how long recent answers took
+        self._answer_ns = 0  # duration of recent answers
         self._stopped_ns = self._free_ns = 0
-        self._seen_ua = 10**6  # the weakest pattern that was measured
+        self._seen_ua = 10**6  # weakest measured pattern
 
     # -- opening and closing -----------------------------------------------
 
@@ -211,13 +211,13 @@ class ETactileKitDriver(Driver):
             capacity = self._kit.connect(str(self.port))
             shown, self._before = self._shown, None
             if shown is not None:
-                # Scans that may have run before the lost board came back at zero.
+                # scans that may have run before the lost board returned to zero
                 self._report_scans(shown, Span(shown.since.late, line.now_ns()))
             self._begin()
             self._put_at_zero()
             self._away = False
         except BoardStoppedError:
-            # It is not at zero, whatever has stopped it.
+            # The board is not at zero, even if it was stopped.
             if self._away:
                 raise line.lost("is not back") from None
             raise
@@ -257,18 +257,18 @@ class ETactileKitDriver(Driver):
     # -- sequences ---------------------------------------------------------
 
     def encode(self, sequence: ScanSequence) -> tuple[Settings, bytes]:
-        """Return the settings of a sequence and its pattern, the height of each output in counts;
-        raise BoardError if the board cannot make it."""
+        """Return the settings and the pattern for a sequence, the height of each output in counts.
+        Raises BoardError if the board cannot make it."""
         electrode, current_ua = one_against_all(sequence)
         if len(np.unique(np.sign(current_ua))) > 1:
             raise BoardError(
-                "some slots are anodic, some cathodic, and this board has one polarity for all: "
+                "some slots are anodic, some cathodic, but this board has one polarity for all: "
                 "send them as two sequences"
             )
         width_us = int(sequence.width_us.max(initial=0))
         if sequence.slots and np.ptp(sequence.width_us):
             raise BoardError(
-                f"slots of {int(sequence.width_us.min())} to {width_us} µs in one sequence, and "
+                f"slots have {int(sequence.width_us.min())} to {width_us} µs in one sequence, but "
                 "this board has one pulse width for all"
             )
         if sequence.slots and width_us < SHORTEST_US:
@@ -282,7 +282,7 @@ class ETactileKitDriver(Driver):
         settings = Settings(width_us, rest_us, rate_hz, bool((current_ua < 0).any()))
         busy_us = settings.scan_us(self._outputs)
         if sequence.slots and 1000 * busy_us > LONGEST_LOAD * settings.period_ns:
-            # Its parser would never run again.
+            # Otherwise its parser would never run again.
             raise BoardError(
                 f"a scan of {self._outputs} outputs takes {busy_us} µs, which does not fit "
                 f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate"
@@ -292,7 +292,7 @@ class ETactileKitDriver(Driver):
             "etactilekit", self.ua_per_count, self._limits, width_us, level_ua, electrode
         )
         counts = np.minimum(steps, LARGEST)
-        # A byte that looks like a command would be one, if that before it were lost.
+        # Avoid bytes that look like commands: they would be executed if the byte before were lost.
         low = counts & 0xFF
         counts -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0)
         heights = np.zeros(self._outputs, "<u2")
@@ -301,7 +301,7 @@ class ETactileKitDriver(Driver):
 
     def write(self, proved: ProvedSequence) -> None:
         line = self._kit.line
-        # A sequence that waited for its turn is not late.
+        # Waiting for its turn does not make a sequence late.
         proved = line.later(proved, max(proved.due_ns, self._free_ns))
         try:
             if line.now_ns() > proved.write_before_ns:
@@ -313,7 +313,7 @@ class ETactileKitDriver(Driver):
         self._free_ns = line.now_ns()
 
     def idle(self) -> float | None:
-        """Load a pattern of zeros once no sequence has come for a while."""
+        """Load a pattern of zeros after a time without sequences."""
         left_s = IDLE_S - (self._kit.line.now_ns() - self._free_ns) / 1e9
         if left_s > 0:
             return left_s
@@ -321,7 +321,7 @@ class ETactileKitDriver(Driver):
         return None
 
     def _perform(self, proved: ProvedSequence) -> None:
-        """Scan a sequence as often as requested, or until a newer one waits."""
+        """Scan a sequence as often as requested, or until a newer one is waiting."""
         line, sequence = self._kit.line, proved.sequence
         settings, pattern = self.encode(sequence)
         if not sequence.slots or pattern == self._nothing:
@@ -342,13 +342,13 @@ class ETactileKitDriver(Driver):
                 self._stop_pulses()
 
     def _show(self, proved: ProvedSequence, settings: Settings, pattern: bytes) -> bool:
-        """Enable a sequence's pulses; return whether the board has done so."""
+        """Enable the pulses of a sequence; return whether the board confirmed it."""
         line = self._kit.line
         if settings != self._settings and not self._set(settings):
             return False
         if pattern != self._on_board and not self._load(pattern):
             return False
-        # Settings and the board's own scans decide when it can begin.
+        # The start depends on settings and on the board's scans.
         begin_ns = self._between_scans(line.now_ns())
         line.wait_until(begin_ns)
         if (span := self._ask(GO, drives=line.later(proved, begin_ns))) is None:
@@ -359,7 +359,7 @@ class ETactileKitDriver(Driver):
         return True
 
     def _set(self, settings: Settings) -> bool:
-        """Set pulse and rate while nothing flows; return whether the board has done so."""
+        """Set pulse and rate while pulses are stopped; return whether the board confirmed it."""
         longest = max(
             chosen.scan_us(self._outputs, 20) for chosen in (settings, self._settings) if chosen
         )
@@ -371,13 +371,13 @@ class ETactileKitDriver(Driver):
             if self._kit.exchange(commands) is None:
                 return False
         if settings.rate_hz != before_hz:
-            # The newest firmware finishes the current period.
+            # The newest firmware first finishes the current period.
             self._kit.line.wait_until(self._kit.line.now_ns() + 10**9 // before_hz + MARGIN_NS)
         self._settings, self._scan_ns = settings, 1000 * settings.scan_us(self._outputs)
         return True
 
     def _load(self, pattern: bytes) -> bool:
-        """Load a pattern while nothing flows; return whether the board has it."""
+        """Load a pattern while pulses are stopped; return whether the board confirmed it."""
         self._on_board = b""
         if self._kit.exchange(LOAD + pattern) is not None:
             self._on_board = pattern
@@ -386,14 +386,14 @@ class ETactileKitDriver(Driver):
     # -- the scans of the board -----------------------------------------------
 
     def _ask(self, body: bytes, *, drives: ProvedSequence | None = None) -> Span | None:
-        """Send commands; update the scan lock if a scan passed between the readings before and
-        these; return the time of execution."""
+        """Send commands and return the time of execution. Update the scan lock if readings show
+        that a scan has passed since the last query."""
         before, settings, self._before = self._before, self._settings, None
         if (answer := self._kit.exchange(body, ask=True, drives=drives)) is None:
             return None
         span, now = answer
         self._before = span.early, now
-        # An answer during a scan takes as long as the scan.
+        # An answer during a scan is delayed to its end.
         took_ns = span.late - span.early
         self._answer_ns = min(took_ns, self._answer_ns * 9 // 8 or took_ns)
         if before is None or settings is None:
@@ -401,25 +401,26 @@ class ETactileKitDriver(Driver):
         asked_ns, then = before
         rises, falls = (then < LOW) & (now >= HIGH), (then >= HIGH) & (now < LOW)
         if (rises | falls).any():
-            # A pulse whose discharge is short, or one without a width, as in scans without pulses.
+            # slot with a short discharge, or without a pulse
             rest_us = max(0, settings.discharge_us - SHORTEST_US)
             if self._firmware == "71adee2":
-                # A query during a scan is answered after it: the whole scan has passed.
+                # A query during a scan is answered after it, so the complete scan has passed.
                 slots, early_ns = self._outputs, asked_ns
                 rest_us += settings.width_us if rises.any() else SHORTEST_US
             else:
-                # That slot passed between the two queries; its scan began so much earlier.
+                # The slot that changed passed between the two queries; its scan began this many
+                # slots earlier.
                 slots = int((rises | falls).argmax())
                 early_ns = asked_ns - 1000 * slots * settings.scan_us(1, 25)
             self._lock.learn(Span(early_ns, span.late - 1000 * slots * rest_us))
         return span
 
     def _between_scans(self, now_ns: int) -> int:
-        """Return when an answer will come before the next scan can start, ns."""
+        """Return a time at which a query is answered before the next scan can start, ns."""
         lock = self._lock
         lock.check(now_ns)
         if lock.last is None:
-            # In the newest firmware a scan that began before the stop may still run.
+            # With the newest firmware a scan that began before the stop may still run.
             return max(now_ns, self._stopped_ns + self._scan_ns)
         answer_ns = min(3 * self._answer_ns, (lock.period_ns - self._scan_ns) // 3)
         number = lock.first_after(now_ns)
@@ -429,11 +430,11 @@ class ETactileKitDriver(Driver):
         return now_ns if now_ns + answer_ns < following.early else following.late + MARGIN_NS
 
     def _hold(self, proved: ProvedSequence) -> None:
-        """Wait until the requested number of scans of the shown pattern is over, and query when
-        that is useful: to locate scans, or to keep the board awake."""
+        """Wait until the requested number of scans is over. Meanwhile send queries to locate scans
+        and to keep the board awake."""
         line, shown, lock = self._kit.line, self._shown, self._lock
         asked_ns = now_ns = line.now_ns()
-        # From another thread, zero may end it.
+        # Zero from another thread may end the pattern.
         while shown is not None and shown is self._shown:
             times = 1 if line.has_newer() else proved.times
             if lock.last is None:
@@ -449,7 +450,7 @@ class ETactileKitDriver(Driver):
             if now_ns >= over_ns:
                 line.wait_until(self._between_scans(now_ns))
                 return
-            # A newer sequence may come meanwhile.
+            # A newer sequence may arrive meanwhile.
             until_ns = min(over_ns, ask_ns, now_ns + lock.period_ns)
             line.wait_until(until_ns)
             now_ns = line.now_ns()
@@ -460,7 +461,7 @@ class ETactileKitDriver(Driver):
                         self._look(shown, self._before[1])
 
     def _look(self, shown: ShownPattern, readings: Readings) -> None:
-        """Note the first scan of the shown pattern, once readings show it."""
+        """Record the first scan of the pattern once readings show it."""
         scan = self._lock.last
         if not shown.is_seen and shown.pulsed(readings).any():
             shown.is_seen = True
@@ -468,7 +469,7 @@ class ETactileKitDriver(Driver):
                 shown.since = Span(scan.early - 1, scan.early - 1)
 
     def _stop_pulses(self) -> None:
-        """Stop all pulses, and report the scans of the shown pattern."""
+        """Stop all pulses, and report the scans of the pattern."""
         shown, self._shown = self._shown, None
         begun_ns, stopped = self._kit.line.now_ns(), None
         try:
@@ -479,7 +480,8 @@ class ETactileKitDriver(Driver):
                 self._report_scans(shown, stopped or Span(begun_ns, self._stopped_ns))
 
     def _report_scans(self, shown: ShownPattern, end: Span) -> None:
-        """Report the scans of a pattern and its voltages; latch the board if others pulsed."""
+        """Report the scans of a pattern and its voltages; latch the board if other outputs
+        pulsed."""
         sequence, line = shown.proved.sequence, self._kit.line
         least, largest = self._lock.starts(shown.since, end)
         pulsed = np.zeros(self._outputs, bool)
@@ -491,16 +493,16 @@ class ETactileKitDriver(Driver):
             if pulsed.any():
                 least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
             elif level_ua >= self._seen_ua and (readings < LOW).all():
-                # Weaker pulses were measured before: the board's timing has changed.
+                # Weaker pulses were measured before, so the board's timing has changed.
                 self._lock.last, least = None, 0
             if least:
                 volts, lifted = (readings * VOLTS_PER_COUNT).astype(np.float32), None
                 if volts.any():
-                    # Without a finger all current takes the load beside the skin.
+                    # Without a finger all current flows through the load in parallel.
                     alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
                     lifted = bool((volts >= OPEN_SHARE * alone_v).all())
                 line.measured(sequence, volts, lifted)
         line.delivered(shown.proved, least, most=max(least, largest))
         pulsed[self._wiring[sequence.site]] = False
         if pulsed.any():
-            raise line.fault(f"output {pulsed.argmax()} pulsed, and its pattern has no pulse there")
+            raise line.fault(f"output {pulsed.argmax()} pulsed although its pattern was zero")

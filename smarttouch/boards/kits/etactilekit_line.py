@@ -1,4 +1,4 @@
-"""The line to an eTactileKit: its watchdog, commands, dialogues and recovery from lost bytes.
+"""Line to an eTactileKit: commands, dialogues, recovery from lost bytes, and watchdog.
 
 On the wire (native USB, or TCP port 8080; little endian, no framing, no checksum)::
 
@@ -9,16 +9,15 @@ On the wire (native USB, or TCP port 8080; little endian, no framing, no checksu
     FE N×u16 heights in counts  FF      reply N×u16: ADC of each electrode's last slot
     F5      reply: chips        F4      reply: N, the only echo
 
-So speaks the firmware of commit 71adee2 and later. Older ones know no F4, have one height for all
-(FB), and FE N×u8 says which electrodes have it: they are put at zero and refused.
+This is the protocol of commit 71adee2 and later. Older firmware has no F4 and one height for all
+electrodes (FB); its FE N×u8 selects electrodes. Such boards are set to zero and rejected.
 
-A byte lost inside FE would leave the board waiting, and the next byte sent would
-complete a pattern shifted by eight bits: up to 41 mA. So every change is guarded:
-all pulses are stopped before it (by a mode without any, or a height of zero), a query
-follows it, and pulses come back only when that has been answered. A lost byte swallows the
-query: no answer, no pulses, and the driver resets the board's parser. Numbers avoid bytes
-that look like commands, and where one byte of a word may be lost, zeros that follow make it
-smaller, never larger. Not guarded: a *doubled* byte (USB and TCP make none).
+If a byte inside FE is lost, the next byte completes a pattern shifted by eight bits, with up to 41
+mA. So each change is guarded. Pulses are stopped before it (by a mode without pulses, or a height
+of zero), a query follows it, and pulses restart only after the answer. A lost byte swallows the
+query; then there is no answer, no pulse, and the driver resets the board's parser. Numbers avoid
+bytes that look like commands. Zeros follow words, so that a lost byte makes a number smaller, never
+larger. *Doubled* bytes are not detected, but USB and TCP do not produce them.
 """
 
 import contextlib
@@ -45,17 +44,17 @@ from smarttouch.boards.kits import watchdog
 from smarttouch.stimulation.safety_gate import ProvedSequence
 
 LARGEST = 1000
-"""Counts, about 10 mA: nothing above leaves this host, whatever the limits. Its firmware does not
-cap 4095 counts, which are 41 mA."""
+"""Largest count that is sent, about 10 mA, whatever the limits. The firmware accepts 4095 counts,
+which are 41 mA."""
 FIRST_COMMAND = 0xF4
-SHORTEST_US = 7  # shortest pulse: switching on and off takes 6.6 µs
+SHORTEST_US = 7  # shortest pulse, as switching takes 6.6 µs
 
 Readings = NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings shared by all slots of a scan."""
+    """Settings for all slots of a scan."""
 
     width_us: int
     discharge_us: int
@@ -64,16 +63,16 @@ class Settings:
 
     @property
     def period_ns(self) -> int:
-        """Period of its timer, in whole µs."""
+        """Period of the board's timer, rounded to µs."""
         return 1_000_000 // self.rate_hz * 1000
 
     def scan_us(self, outputs: int, slot_extra_us: int = 10) -> int:
         return outputs * (self.width_us + self.discharge_us + slot_extra_us)
 
     def commands(self, between_hz: int) -> bytes:
-        """Return the commands of the settings, twice, each followed by zeros: were a word's first
-        byte lost, they would make it zero, not a longer pulse. At ``between_hz`` scans of the old
-        and of the new pulses fit."""
+        """Return the commands for the settings, twice, with zeros after each: if the first byte of
+        a word is lost, the number becomes zero instead of a longer pulse. Scans with old or new
+        settings fit into the period of ``between_hz``."""
         once = (
             QUIET + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
             + b"\xf6" + between_hz.to_bytes(2, "little") + _END
@@ -87,25 +86,24 @@ class Settings:
 ZEROS = bytes(2 * 255 + 4)  # padding longer than the rest of any command
 PING, CHIPS, READINGS = b"\xf4", b"\xf5", b"\xff"
 NO_SENSE = b"\xf9\0\0\xf8\0\0"
-_END = bytes(3)  # end of any command that has lost a byte
+_END = bytes(3)  # completes any command that has lost a byte
 AT_REST = (
     b"\xfc\0" + _END, NO_SENSE, b"\xfb\0\0" + _END, b"\xfa\x01\0" + _END,
     b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
 )  # fmt: skip
-"""Puts every published firmware at zero: no electrodes, no sense pulses, no height (or mode 0), the
-shortest pulses, ten scans a second. No other known board takes a byte of it for a query or a
+"""Sets each published firmware to zero: no electrodes, no sense pulses, zero height (or mode 0),
+shortest pulses, ten scans a second. Other known boards do not interpret these bytes as a query or
 pattern."""
-QUIET = b"\xfb\x02\xfb\x02"  # stops all pulses from the next scan on
-LOAD = b"\xfb\x02\xfe"  # before a pattern, which is loaded while nothing flows
-GO = b"\xfb\0"  # starts its pulses from the next scan on
+QUIET = b"\xfb\x02\xfb\x02"  # stops pulses at the next scan
+LOAD = b"\xfb\x02\xfe"  # begins a pattern, with pulses stopped
+GO = b"\xfb\0"  # starts pulses at the next scan
 
 
 def zero_anywhere(outputs: int) -> bytes:
-    """Return the bytes that put a board at zero in any state of its parser: no sense pulses, no
-    pulses at all, and a pattern of zeros.
+    """Return the bytes that set a board to zero in any state of its parser.
 
-    Zeros first: they complete any half command as a smaller one, with no pulses meanwhile, and a
-    lost byte costs a spare one, never the next command.
+    They stop sense pulses and all pulses, and load zeros. Leading zeros complete an incomplete
+    command with a smaller number, and there are spare ones for lost bytes.
     """
     return bytes(2 * outputs + 4) + NO_SENSE + b"\xfb\x02\x02\x02\xfe" + bytes(2 * outputs)
 
@@ -119,19 +117,19 @@ class Span:
 
 
 ECHO_S = 0.1
-CHIPS_S = 0.5  # longest time to an answer
-MORE_S = 0.03  # wait for more than the answer: USB chips keep bytes for 16 ms
-FORGETS_S = 2.15  # silence after which a partial command is dropped
-MOST_LOSSES = 4  # lost commands in a row after which the firmware cannot be driven safely
-LOOKS = 5  # answers in a row without an echo after which the firmware has none
+CHIPS_S = 0.5  # longest wait for an answer
+MORE_S = 0.03  # wait for additional bytes: USB chips hold bytes for 16 ms
+FORGETS_S = 2.15  # pause after which the board drops a partial command
+MOST_LOSSES = 4  # consecutive lost commands after which the board cannot be driven safely
+LOOKS = 5  # consecutive answers without an echo that show old firmware
 
 
 class ETactileKitLine:
     """Dialogues with an eTactileKit.
 
-    The board repeats its last pattern without a host: a watchdog is armed before anything that can
-    become a current. ``lock`` is held for a dialogue, so that zero does not come between a command
-    and its answer.
+    Without a host the board repeats its last pattern, so the watchdog is armed before any command
+    that can cause current. ``lock`` is held during a dialogue, so that zero does not come between a
+    command and its answer.
     """
 
     watched: "WatchedPort"  # the port, once it is open
@@ -145,13 +143,13 @@ class ETactileKitLine:
         self._losses, self._chips = 0, b""
 
     def connect(self, name: str) -> int:
-        """Open the port, put any firmware at zero, and return its number of outputs. Another device
-        than before gets nothing but a question."""
+        """Open the port, set any firmware to zero, and return its number of outputs. After a lost
+        connection, another device receives only a query."""
         line = self.line
         if not HAS_POSIX:
             raise BoardError(
-                "this board goes on with its last pattern if its program hangs, and the watchdog "
-                "that would put it at zero needs Linux or macOS: use simulated: here"
+                "this board repeats its last pattern if its program hangs, and the watchdog "
+                "that sets it to zero needs Linux or macOS: use simulated: here"
             )
         line.connect(name, self._watch)
         if line.reopened:
@@ -160,7 +158,7 @@ class ETactileKitLine:
             self.watched.arm()
             line.write(self.zero)
         if line.identity is not None or not line.reopened:
-            # Only a reset takes the time to boot.
+            # Opening the port may reset the board.
             line.pause(kits.BOOT_S)
         capacity = self._identify()
         self.watched.arm()
@@ -176,7 +174,7 @@ class ETactileKitLine:
         self, query: bytes, *attempts: tuple[bytes, float], then: tuple[bytes, ...] = ()
     ) -> Iterator[bytes]:
         """Yield the first byte of each answer to a query. Each attempt begins with bytes and a
-        pause, which lead the parser to the start of a command."""
+        pause that resynchronize the parser."""
         for data, pause_s in attempts:
             self.line.write(data)
             self.line.pause(pause_s)
@@ -185,11 +183,11 @@ class ETactileKitLine:
             yield self.line.ask(query, 1, CHIPS_S)
 
     def _identify(self) -> int:
-        """Put the board at zero and its parser at the start of a command; return its number of
-        outputs, after its number of electrodes was set."""
+        """Set the board to zero, resynchronize its parser and set its number of electrodes; return
+        its number of outputs."""
         line = self.line
-        # An earlier host may have left half a pattern, which any byte but zero would complete as a
-        # current. What zeros do not end, a silence does.
+        # An earlier host may have left an incomplete pattern, which only zeros complete without
+        # current. If zeros do not end it, a pause does.
         answers = self._answers(CHIPS, (ZEROS, 0.01), (ZEROS, FORGETS_S), then=AT_REST)
         if not (answer := next(filter(None, answers), b"")):
             raise SilentBoardError(
@@ -203,8 +201,8 @@ class ETactileKitLine:
                 f"the eTactileKit at {line.name} has {capacity} outputs, the profile needs "
                 f"{self.outputs}: use the profile of this board"
             )
-        # Its number of electrodes is zero. The answer to the second byte shows whether the first
-        # was a query.
+        # The number of electrodes is now zero. The answer to the second byte shows whether the
+        # first was a query, too.
         if b"\0" + answer not in (line.ask(PING + CHIPS, 2, CHIPS_S) for _ in range(LOOKS)):
             for command in AT_REST:
                 line.write(command)
@@ -213,23 +211,23 @@ class ETactileKitLine:
                 "71adee2, or damaged: flash the newest one of the kit's repository, "
                 "aid-lab-org/eTactileKit"
             )
-        # No sense pulses: the guard of every change relies on that.
+        # Turn off sense pulses, on which the guard of changes relies.
         electrodes = bytes([0xFC, self.outputs])
         if line.ask(QUIET + NO_SENSE + electrodes + PING, 1, ECHO_S) != self._echo:
             raise line.lost("does not echo its number of electrodes")
         return capacity
 
     def _recognize(self) -> None:
-        """Ask a device that has come back whether it is the same board, where USB does not tell."""
-        # No zeros before the query: another device might act on them.
+        """Query a returned device to check that it is the same board, if USB does not tell."""
+        # Do not send zeros before the query: another device might act on them.
         answers = self._answers(CHIPS, (b"", 0.0), (b"", FORGETS_S))
         if received := next(filter(None, answers), b""):
-            # A longer answer is another device's; zero waits only briefly for that.
+            # A longer answer is from another device; wait only briefly for more bytes.
             received += self.line.read(1, MORE_S)
         if received != self._chips:
             raise OtherDeviceError(
-                f"what is at {self.line.name} now does not answer as that board did: nothing but "
-                "this question was sent"
+                f"the device at {self.line.name} does not answer like the lost board: only "
+                "this query was sent"
             )
 
     # -- queries -------------------------------------------------------------
@@ -237,10 +235,9 @@ class ETactileKitLine:
     def exchange(
         self, body: bytes, *, ask: bool = False, drives: ProvedSequence | None = None
     ) -> tuple[Span, Readings] | None:
-        """Send commands and wait until they are executed; return the span in which that was and, if
-        asked for, the readings (N,) before them in the board's order. If the answer is wrong, lead
-        the parser to the start of a command and return None. Commands that start the pulses of a
-        sequence come with it, in ``drives``."""
+        """Send commands and wait for their execution. Return its time span and, with ``ask``, the
+        readings before, (N,), in the board's order. After a wrong answer, resynchronize the parser
+        and return None. ``drives`` is the sequence whose pulses the commands start, if any."""
         expected, begun_ns = 2 * self.outputs * ask + 1, self.line.now_ns()
         answer = self.line.ask(READINGS * ask + body + PING, expected, ECHO_S, drives)
         span = Span(begun_ns, self.line.now_ns())
@@ -251,7 +248,7 @@ class ETactileKitLine:
         return span, np.frombuffer(answer[:-1], "<u2")
 
     def _resync(self) -> None:
-        """Resynchronize the board's parser to the start of a command; nothing flows meanwhile."""
+        """Resynchronize the board's parser, with pulses stopped."""
         self._losses += 1
         if self._losses > MOST_LOSSES:
             raise BoardError(
@@ -259,28 +256,30 @@ class ETactileKitLine:
                 f"{self.line.name}, so it cannot be driven safely: use another cable and port, or "
                 "flash the newest firmware of the kit's repository, aid-lab-org/eTactileKit"
             )
-        # Zeros complete any half pattern, and are no commands; if not, silence does. The answer may
-        # only be late, and a silence would cost far more.
+        # Zeros complete an incomplete pattern, and are not commands; else a pause does. Try without
+        # a pause first, as the answer may only be late.
         query = QUIET + bytes(4) + PING
         if self._echo not in self._answers(query, (ZEROS, 0.01), (b"", FORGETS_S)):
             raise self.line.lost("does not answer any more")
 
 
 BEAT_S = 0.02
-ENDS_WITHIN_S = 1.5  # of the watchdog; zero for 253 outputs takes .4 s in small pieces
+ENDS_WITHIN_S = 1.5  # longest wait for the watchdog: zero for 253 outputs takes 0.4 s
 KEPT_MS = 100.0  # longest time from the end or hang of this program to the first byte of zero
 STALE_NS = int(0.8e9 * watchdog.SILENCE_S)
-"""Silence after which this program writes nothing more: no byte of it follows the zero of its
-watchdog, which waits longer."""
+"""Time since the last heartbeat after which this program stops writing. The watchdog waits longer,
+so no byte can follow its zero."""
 COMMAND = [sys.executable, "-I", "-S", watchdog.__file__]
-"""Of the watchdog; isolated: no user setting or package can keep it from starting."""
+"""Command of the watchdog, in isolated mode, so that user settings or packages cannot prevent its
+start."""
 
 
 class WatchedPort:
-    """Serial port or TCP connection that a `watchdog` puts at zero when this program is gone.
+    """Serial port or TCP connection whose board a `watchdog` sets to zero when this program is
+    gone.
 
-    It writes nothing once the watchdog has ended or may have run out of patience. POSIX only (tried
-    on Linux).
+    It rejects writes once the watchdog has ended or may be writing zero. POSIX only (tested on
+    Linux).
     """
 
     def __init__(self, port: Port, zero: bytes) -> None:
@@ -310,26 +309,27 @@ class WatchedPort:
 
     @property
     def at_zero(self) -> bool:
-        """Whether the watchdog has ended and put the board at zero."""
+        """Whether the watchdog has ended and set the board to zero."""
         return self._process.poll() in (watchdog.GONE, watchdog.SILENT)
 
     def arm(self) -> None:
-        """Let the watchdog put the board at zero from now on."""
+        """Arm the watchdog."""
         if self._beaten_ns is None:
-            # If it has ended already, the next write says so.
+            # If the watchdog has ended already, the next write reports it.
             with contextlib.suppress(OSError):
                 self._send_beat()
             self._beating.start()
 
     def write(self, data: bytes) -> int:
-        """Write bytes; raise SerialException if the watchdog has ended or may write zero now.
+        """Write bytes.
 
-        Where this program stood still just before the bytes went out, they may have followed the
-        zero of the watchdog: then zero follows them at once.
+        Raises SerialException if the watchdog has ended or may be writing zero. If this program was
+        paused just before the write, its bytes may follow the watchdog's zero; then zero is written
+        again at once.
         """
         self._require_beat(b"")
         self._port.write(data)
-        # Twice, as the first may end a command that was cut.
+        # Twice, because the first may only complete a cut command.
         self._require_beat(2 * self._zero)
         return len(data)
 
@@ -340,13 +340,13 @@ class WatchedPort:
             self._end()
             self._port.write(or_write)
             raise serial.SerialException(
-                "this program stood still, so its watchdog put the board at zero"
+                "this program was paused, so its watchdog set the board to zero"
                 if self.at_zero
                 else "its watchdog has ended"
             )
 
     def read(self, count: int = 1) -> bytes:
-        """Return as many bytes as come within ``timeout``, at most ``count``."""
+        """Return the bytes received within ``timeout``, at most ``count``."""
         self._port.timeout = self.timeout
         return bytes(self._port.read(count))
 
@@ -355,7 +355,7 @@ class WatchedPort:
         self._port.reset_input_buffer()
 
     def close(self) -> None:
-        """Put the board at zero by the watchdog, end it, and close the port."""
+        """Let the watchdog set the board to zero and end; close the port."""
         if self._closing.is_set():
             return
         self._closing.set()
@@ -366,7 +366,7 @@ class WatchedPort:
             self._port.close()
 
     def _end(self) -> None:
-        """Let the watchdog put the board at zero and end; put it at zero here if it could not."""
+        """Let the watchdog set the board to zero and end; write zero here if it failed."""
         self._control.close()
         try:
             self._process.wait(ENDS_WITHIN_S)
@@ -379,12 +379,12 @@ class WatchedPort:
 
     @prioritized()
     def _beat(self) -> None:
-        # Where it is stale, the watchdog may be writing zero already.
+        # After a pause the watchdog may already be writing zero.
         while not self._closing.wait(BEAT_S) and not self._is_stale():
             try:
                 self._send_beat()
             except OSError:
-                # It is gone; if it was killed, the board is not at zero yet.
+                # The watchdog is gone. If it was killed, the board is not at zero yet.
                 self._end()
                 return
 
@@ -393,5 +393,5 @@ class WatchedPort:
         self._control.sendall(b".")
 
     def _is_stale(self) -> bool:
-        # By a clock that also counts while the computer is suspended, where the system has one.
+        # This clock includes suspended time if the system supports it.
         return now_ns() - (self._beaten_ns or 0) > STALE_NS

@@ -3,20 +3,20 @@
 On the wire (UART over USB, 921600 8N1, no checksum, no acknowledgment)::
 
     STIMULATE  FF, then 61 bytes: intensity of each electrode, 0 to 200
-    MEASURE    FE; the reply is 61 readings, then FF. Not used: a reading wraps at a third of the
-               voltage that the board can supply, so no reading tells an impedance
+    MEASURE    FE; the reply is 61 readings, then FF. Not used: readings wrap at a third of the
+               board's largest voltage, so they do not determine an impedance
 
-The board makes one anodic pulse of 50 µs for each intensity that is not zero, in
-order, each followed by 150 µs with all outputs grounded. Without packets there
-are no pulses: a host that is lost is a board at zero.
+The board makes an anodic pulse of 50 µs for each nonzero intensity, in order, each followed by 150
+µs with all outputs grounded. Without packets there are no pulses, so without a host the board is at
+zero.
 
-A byte lost or doubled on the line shifts one scan by an electrode, undetectably;
-the packet after the next is whole again, as no intensity looks like a start.
+A lost or doubled byte shifts one scan by an electrode, undetected. The packet after the next is
+correct again, because no intensity looks like a start.
 
-After power-on the board tests its source until the first packet: ours is zeros. They
-load nothing into its converter, so the test's last value, at most 1,024 counts or
-2.5 mA, flows for some 3 µs through the electrode that pulses first, before its own
-value does. No packet can prevent that; it is 8 nC, once after power-on.
+After power-on the board tests its source until the first packet, which contains zeros. Zeros do not
+load the converter, so the last value of the test, at most 1,024 counts or 2.5 mA, flows for about 3
+µs through the first electrode that pulses. No packet can prevent this; it is 8 nC, once after
+power-on.
 """
 
 from typing import ClassVar
@@ -38,8 +38,8 @@ ZERO = bytes([STIMULATE]) + bytes(ELECTRODES)
 WIDTH_US, REST_US = 50, 150
 LARGEST = 200
 COUNTS_PER_BYTE = 16
-HURRY = 20  # divisor of a period: no two packets are closer than it by more than a twentieth
-LEAD_S = 0.003  # from a run's first sequence to its packet: margin for delayed later ones
+HURRY = 20  # packets may be closer than a period by at most 1/20 of it
+LEAD_S = 0.003  # delay of the first packet of a run, a margin for later ones
 
 
 class Kajimoto61Driver(Driver):
@@ -59,7 +59,7 @@ class Kajimoto61Driver(Driver):
                 f"{limits.electrodes}: use the profile {self.default_profile}"
             )
         self.port, self._limits = port, limits
-        # When the next packet may go, and the period of the last one; None begins a new grid.
+        # earliest time of the next packet, and period of the last; None starts a new grid
         self._next_ns: int | None = None
         self._skipped, self._note_ns = 0, 0
         self._period_ns = 0
@@ -76,11 +76,11 @@ class Kajimoto61Driver(Driver):
         line.pause(kits.BOOT_S)
         line.discard_input()
         self.zero()
-        # This board sends nothing unrequested; an eTactileKit takes FF for a query and answers.
+        # This board sends nothing unrequested, while an eTactileKit answers FF as a query.
         if answer := line.read(64, 0.05):
             raise BoardError(
                 f"the board at {self.port} answers {len(answer)} bytes to a packet that a "
-                "kajimoto61 board answers with none: it is another one, perhaps etactilekit:"
+                "kajimoto61 board does not answer: it is another board, perhaps etactilekit:"
             )
         return Capabilities(
             electrodes=ELECTRODES,
@@ -94,19 +94,19 @@ class Kajimoto61Driver(Driver):
         )
 
     def zero(self) -> None:
-        # Zeros complete a packet that was cut short; a full one ends the self-test.
+        # Zeros complete a cut packet; a complete one ends the self-test.
         self._line.write(bytes(ELECTRODES))
         self._line.pause(0.02)
         self._line.write(ZERO)
         self._line.discard_input()
 
     def encode(self, sequence: ScanSequence) -> bytes:
-        """Return the bytes of a sequence; raise BoardError if the board cannot make it."""
+        """Return the bytes of a sequence. Raises BoardError if the board cannot make it."""
         electrode, current_ua = one_against_all(sequence)
         if (current_ua > 0).any():
             slot = int((current_ua > 0).argmax())
             raise BoardError(
-                f"slot {slot} is cathodic, and this board is anodic only: choose a mode that its "
+                f"slot {slot} is cathodic, but this board is anodic only: choose a mode that its "
                 "profile offers",
                 slot=slot,
             )
@@ -138,7 +138,7 @@ class Kajimoto61Driver(Driver):
             raise line.late()
         next_ns, self._next_ns = self._next_ns, None
         if next_ns is None or now_ns - next_ns > self._period_ns:
-            # The first of a run or after a pause starts a new grid.
+            # The first packet of a run or after a pause starts a new grid.
             next_ns = now_ns + int(LEAD_S * 1e9)
         for scan in range(proved.times):
             if line.now_ns() < next_ns:
@@ -152,19 +152,19 @@ class Kajimoto61Driver(Driver):
             try:
                 line.write(packet, proved)
             except LineLostError:
-                # The scan may have been made.
+                # The scan may have been delivered.
                 line.delivered(proved, 0, most=1)
                 raise
             line.delivered(proved, 1)
             self._skipped += max(0, (sent_ns - next_ns) // period_ns)
             if self._skipped and sent_ns >= self._note_ns:
-                # Once a minute.
+                # at most once a minute
                 line.board.notes.append(
                     f"this computer was too slow: {self._skipped} sequences were skipped"
                 )
                 self._skipped, self._note_ns = 0, sent_ns + 60_000_000_000
-            # After a late packet the grid moves, as catching up would exceed the proved rate; the
-            # part of a period that is caught up lies within the board's own margin.
+            # After a late packet move the grid, as catching up would exceed the proved rate. The
+            # small part that is caught up is within the board's margin.
             next_ns = max(next_ns + period_ns, sent_ns + period_ns - period_ns // HURRY)
             self._period_ns = period_ns
         self._next_ns = next_ns

@@ -1,17 +1,16 @@
-"""Watchdog: a small process that puts a board at zero when the program that drives it is gone.
+"""Watchdog: a small process that sets a board to zero when the program that drives it is gone.
 
-Boards that run freely repeat their last pattern when that program is killed. The watchdog has the
-port as well. When the program ends, however it ends, its end of the ``control`` socket closes; when
-it hangs or is stopped, its heartbeats stop. Either way the watchdog writes the board's zero command
-and ends.
+Some boards repeat their last pattern when the program is killed. The watchdog shares the port. When
+the program ends in any way, its end of the ``control`` socket closes; when it hangs or is stopped,
+its heartbeats stop. In both cases the watchdog writes the board's zero command and ends.
 
-It runs in a session of its own (Ctrl-C, a closed terminal and a kill of the program's process group
-do not reach it), and imports only the standard library, so that it starts within some 20 ms. The
+It runs in its own session, so that Ctrl-C, a closed terminal and a kill of the program's process
+group do not reach it. It imports only the standard library, and starts within about 20 ms. The
 program's side is `WatchedPort` in etactilekit_line.
 
-The command line has the file descriptors of port and ``control``, and the zero command in hex.
-Every byte from ``control`` is a heartbeat. Without the first one nothing is written: the device at
-the port is not known to be the right one yet. A suspended computer counts as a silent program.
+Arguments are the file descriptors of port and ``control``, and the zero command in hex. Each byte
+from ``control`` is a heartbeat. Before the first one nothing is written, as the device may be a
+wrong one. A suspended computer counts as a silent program.
 """
 
 import contextlib
@@ -21,13 +20,13 @@ import signal
 import sys
 import time
 
-SILENCE_S = 0.09  # longest silence: with the time to wake up and write, .1 s to zero
-PRIORITY = 2  # real-time, where allowed: above the program's 1, so a hung one cannot block it
-STUCK_S = 0.4  # without a byte accepted while zero is written: the board is stuck
-PIECE, PAUSE_S = 8, 0.003  # zero goes out once more in pieces, of which a busy USB chip loses none
+SILENCE_S = 0.09  # host timeout: 0.1 s to zero, including the time to wake up and write
+PRIORITY = 2  # real-time priority, above the program's 1, so that a hanging program cannot block it
+STUCK_S = 0.4  # time without an accepted byte after which the board is stuck
+PIECE, PAUSE_S = 8, 0.003  # zero is repeated in small pieces, which a busy USB chip does not lose
 GONE, SILENT, BLOCKED = 7, 3, 5
-"""Exit codes: the program has closed or was silent, and the board is at zero; the port takes no
-bytes. None is 0, which a program that ignores SIGCHLD reads of any process, killed ones too."""
+"""Exit codes: zero after the program closed, zero after silence, and a port that accepts no bytes.
+None is 0, because a program that ignores SIGCHLD sees 0 also for killed processes."""
 
 
 def watch(port: int, control: int, zero: bytes) -> int:
@@ -35,7 +34,7 @@ def watch(port: int, control: int, zero: bytes) -> int:
     is_armed, slept_s = False, _slept_s()
     while True:
         ready = select.select([control], [], [], SILENCE_S if is_armed else None)[0]
-        # A watchdog that was delayed itself may still find heartbeats.
+        # Check again: if the watchdog itself was delayed, heartbeats may be waiting.
         ready = ready or select.select([control], [], [], 0)[0]
         if not ready or (is_armed and _slept_s() > slept_s + SILENCE_S):
             return SILENT if write_zero(port, zero) else BLOCKED
@@ -48,8 +47,8 @@ def watch(port: int, control: int, zero: bytes) -> int:
 
 
 def write_zero(port: int, zero: bytes) -> bool:
-    """Write the zero command twice, the second time in small pieces, as older firmware loses bytes
-    that come fast; return whether the port accepted it."""
+    """Write the zero command twice, the second time in small pieces, because older firmware loses
+    fast bytes. Return whether the port accepted it."""
     for size in (len(zero), PIECE):
         for start in range(0, len(zero), size):
             piece = zero[start : start + size]
@@ -68,14 +67,14 @@ def write_zero(port: int, zero: bytes) -> bool:
 
 
 def _slept_s() -> float:
-    """Return the time for which the computer was suspended, s, up to a constant."""
+    """Return the total time for which the computer was suspended, s."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
     return 0.0 if clock is None else time.clock_gettime(clock) - time.monotonic()
 
 
 def main() -> None:
-    """Watch the program that the command line describes."""
-    # Above the program and ordinary ones, where the system allows that.
+    """Watch the program described by the arguments."""
+    # Use real-time priority if the system allows it.
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):

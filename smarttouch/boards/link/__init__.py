@@ -7,7 +7,7 @@ A packet is COBS-encoded and ends with one 0x00. Decoded, all little endian::
     u32 number      counts the packets of one end in one session, from 1 on
     u8  state       of the board: 1 its emergency switch is open; else 0
     u64 session
-    u32 heard       largest number that this end has taken from the other, else 0
+    u32 heard       largest number that this end has received from the other, else 0
     u32 about       of SEQUENCE, ACK, NAK and VOLTAGES: the sequence; of an answer
                     to a question: the question's number; else 0
     ... payload
@@ -25,41 +25,43 @@ from smarttouch.base.wire.framing import HEAD, WirePacket, frame_packet
 
 VERSION = 5
 VOLT = 100  # in VOLTAGES
-SWITCH_OPEN = 1  # state of a board whose emergency switch is open
+SWITCH_OPEN = 1  # bit of the state: the emergency switch is open
 SILENCE_MS = 100
 ALIVE_MS = 20
-LATE_MS = 250  # a packet is old if it confirms nothing that the board sent within this time
+LATE_MS = 250  # a packet is old unless it confirms one that the board sent within this time
 LONGEST_PACKET_MS = 1000  # longest time for which an incomplete packet counts as a sign of life
-HALF = 2**32 - 1  # the host's half of a session; the board's is above it
+HALF = 2**32 - 1  # mask of the host's half of a session number; the upper half is the board's
 Output = Literal["weighted", "three-state", "one-against-all"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 
 CAPABILITIES = struct.Struct("<HBBHHHHIIH")
-"""Outputs, their kind, features, µA, slots, ms to zero, compliance V; room for kernels, largest
-packet and most kernels. Then the firmware's name."""
+"""Outputs, kind, features, µA, slots, ms to zero, compliance V; capacity for kernels, largest
+packet, largest number of kernels. The firmware's name follows."""
 ALIVE = struct.Struct("<h")
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
-"""Least period µs, total µA, width µs, full µA, rounding µA, full µs, ramp ms, session s, session
-µC, duty %, 0, width of a full pulse µs; then of each electrode u16 µA, u16 felt µA, u32 pC."""
+"""Shortest period µs, total µA, width µs, full µA, rounding µA, full µs, ramp ms, session s,
+session µC, duty %, 0, width of a full pulse µs. For each electrode follow u16 µA, u16 perceptible
+µA, u32 pC."""
 SEQUENCE = struct.Struct("<IHHBB")  # period µs, times, intensity, flags, number of pulse shapes
-GROUP = struct.Struct("<BBH")  # kind and shape of slots, and their number
+GROUP = struct.Struct("<BBH")  # kind, pulse shape and number of slots
 POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups
 MEASURE, RECHARGE, MORE, GOES_ON = 1, 2, 4, 8  # flags of a sequence
 FULL = 0xFFFF  # intensity 1; also the largest sum of a slot's amplitudes
 KERNELS = struct.Struct("<16sII")  # identity, size and offset
 KEPT = struct.Struct("<16sIB16s")
-"""Identity, bytes that are there, whether all are and are sound, and the session's proof."""
+"""Identity, number of stored bytes, whether they are complete and valid, and the session's
+proof."""
 ACK = struct.Struct("<Q")  # start of the sequence by the board's clock, µs
-NAK = struct.Struct("<BBHHii")  # reason, rule, slot, electrode, value and what is allowed
+NAK = struct.Struct("<BBHHii")  # reason, rule, slot, electrode, value, allowed value
 REPORT = struct.Struct("<IIQIIIIBIIIII")
-"""Counts of sequences, slots, pulses and violations; largest current µA, charge pC and charge left
-pC; sequences at hand; old and foreign packets; largest net charge within a second pC; seconds with
-current and largest charge µC of the session."""
-NOTHING = 0xFFFF  # slot or electrode where a rule is of none; as a slot, the recharge phase
+"""Numbers of sequences, slots, pulses and violations; largest current µA, charge pC and residual
+charge pC; executing and waiting sequences; old and foreign packets; largest net charge within a
+second pC; seconds with current, and largest charge µC of the session."""
+NOTHING = 0xFFFF  # no slot or electrode; as a slot, the recharge phase
 
 
 def digest_of(data: bytes, session: int | None = None) -> bytes:
-    """Return the identity of kernels, or the proof in a session that they are kept."""
+    """Return the identity of kernels, or the proof for a session that they are stored."""
     head = b"" if session is None else session.to_bytes(8, "little")
     return hashlib.sha256(head + data).digest()[:16]
 
@@ -112,7 +114,7 @@ class Refusal(IntEnum):
 
 
 class Rule(IntEnum):
-    """Rules that a board checks, in the order of the page."""
+    """Rules that a board checks, in the order of PROTOCOL.md."""
 
     NONE = 0
     LIMITS = 1
@@ -159,7 +161,7 @@ ANSWERS = {
 
 @dataclass(frozen=True)
 class Message:
-    """Packet of this protocol; of an unknown version only ``kind`` and ``version`` are known."""
+    """Packet of this protocol; for an unknown version only ``kind`` and ``version`` are valid."""
 
     kind: int
     number: int
@@ -172,13 +174,13 @@ class Message:
 
 
 def encode(message: Message) -> bytes:
-    """Return a message as a packet in its wire format."""
+    """Encode a message as a packet."""
     head = _HEAD.pack(message.state, message.session, message.heard, message.about)
     return frame_packet(VERSION, message.kind, message.number, head, message.payload)
 
 
 def decode(packet: WirePacket) -> Message:
-    """Return a packet as a message; one that is too short has session 0, which is never valid."""
+    """Decode a packet; a packet that is too short gets session 0, which is never valid."""
     if packet.version != VERSION or len(packet.payload) < _HEAD.size:
         return Message(packet.kind, packet.number, version=packet.version)
     state, session, heard, about = _HEAD.unpack_from(packet.payload)
@@ -187,7 +189,7 @@ def decode(packet: WirePacket) -> Message:
 
 
 def decode_head(head: bytes) -> Message:
-    """Return the message that begins with these `WHOLE_HEAD_BYTES`, before its CRC."""
+    """Decode the first `WHOLE_HEAD_BYTES` of a message, before the CRC is known."""
     version, kind, number = HEAD.unpack_from(head)
     return decode(WirePacket(kind, number, head[HEAD.size :], version))
 

@@ -1,4 +1,4 @@
-"""Driver of boards that implement our own protocol over a serial line, and its sessions."""
+"""Driver of ``link`` boards, and its sessions."""
 
 import contextlib
 import threading
@@ -30,12 +30,12 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable
 
-HEARTBEAT_S = 0.03  # longest silence of the host: the board gives up after 0.1 s
-SILENCE_S = 0.5  # after which a board, which sends every 20 ms in a session, is gone
-LISTENED_S = 0.1  # most silence counted for one read; the rest was a pause of ours
+HEARTBEAT_S = 0.03  # longest pause of the host; the board's host timeout is 0.1 s
+SILENCE_S = 0.5  # silence after which a board is lost; in a session it sends every 20 ms
+LISTENED_S = 0.1  # largest silence counted for one read; more is a pause of this computer
 ANSWER_S = 1.0
 ASKED_AGAIN_S = 0.25  # time after which a query is sent again
-PAUSED_S = 1.0  # time for which a pause of this computer explains what the board does
+PAUSED_S = 1.0  # time for which a pause of this computer explains refusals
 LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
 AFTER_ZERO_S = 0.02  # after a stop, in which no slot may be counted: a period at 50 Hz
@@ -47,53 +47,53 @@ _IDLE = 3  # times that nothing new may have been kept
 
 
 class LinkSession:
-    """One session with a board, from before HELLO on; a fault is raised at the next call. Each
-    `open` begins another one.
+    """Session with a board, beginning before HELLO. The next call raises a fault. Each `open`
+    begins a new session.
 
     Parameters
     ----------
     receive : callable
-        Gets every packet that answers no query, with `news` held.
+        Called with each unrequested packet, with `news` held.
     draw : callable
-        Returns the host's half of a session, a new one each time.
+        Returns a new host's half of a session number.
     """
 
     line: Line
-    now_s: Callable[[], float] = staticmethod(time.monotonic)  # clock of all timeouts here
-    now_ns: Callable[[], int]  # time by which sequences are sent and answered
-    put: Callable[[bytes, ProvedSequence | None], None]  # writes a packet, as `Line.write` does
+    now_s: Callable[[], float] = staticmethod(time.monotonic)  # clock of timeouts
+    now_ns: Callable[[], int]  # clock of sequences
+    put: Callable[[bytes, ProvedSequence | None], None]  # writes a packet, like `Line.write`
 
     def __init__(
         self, receive: Callable[[Message], None], draw: Callable[[], int] = protocol.draw_half
     ) -> None:
-        # Longest wait for an answer, and longest silence of the board in a session.
+        # longest wait for an answer, and longest silence of the board in a session
         self.answer_s: float = ANSWER_S
         self.silence_s: float = SILENCE_S
-        self.refused: int = 0  # packets of the board, in all sessions
+        self.refused: int = 0  # refused packets of the board, in all sessions
         self.news: threading.Condition = threading.Condition()
-        self.paused_at_s: float = -PAUSED_S  # when this computer last wrote after a long pause
+        self.paused_at_s: float = -PAUSED_S  # last write after a long pause
         self._receive, self._draw = receive, draw
         self._closed = threading.Event()
         self._reader: threading.Thread | None = None
         self._restart()
 
     def _restart(self) -> None:
-        self.number: int = self._draw()  # its upper half is 0 until the board has answered HELLO
+        self.number: int = self._draw()  # the upper half is 0 until the board has answered HELLO
         self.begun: bool = False  # whether the board has answered BEGIN
         self.sent: int = 0  # number of the last packet
         self.fault: BoardError | None = None
         self._taken = self._offered = 0
-        self._asked: dict[int, MessageKind] = {}  # answers that are due, by the queries' numbers
+        self._asked: dict[int, MessageKind] = {}  # pending queries by number
         self._answers: dict[int, Message] = {}
         self._deframer = Deframer()
-        self._ahead_ns: deque[int] = deque(maxlen=16)  # of the host's clock before the board's
+        self._ahead_ns: deque[int] = deque(maxlen=16)  # recent offsets of the clocks
 
     def open(self, line: Line) -> None:
         """Start reading from a connected line."""
         self.line, self.now_ns, self.put = line, line.now_ns, line.write
         self._restart()
         self._closed.clear()
-        self.written_s: float = self.now_s()  # when the last packet was written
+        self.written_s: float = self.now_s()  # time of the last written packet
         self._listen()
 
     def _listen(self) -> None:
@@ -114,8 +114,8 @@ class LinkSession:
     # -- queries -----------------------------------------------------------
 
     def begin(self, accept: Callable[[Message], None]) -> None:
-        """Begin a session with a board, unless ``accept`` raises on its CAPABILITIES, of any
-        version."""
+        """Begin a session with a board, unless ``accept`` raises on its CAPABILITIES (of any
+        version)."""
         deadline_s = self.now_s() + self.answer_s
         while True:
             accept(self.ask(MessageKind.HELLO))
@@ -124,21 +124,21 @@ class LinkSession:
                     self.ask(MessageKind.BEGIN, within_s=ASKED_AGAIN_S)
                 return
             except SilentBoardError:
-                # Another HELLO may have replaced what the board has offered.
+                # Another HELLO may have replaced the board's offer.
                 if self.now_s() >= deadline_s:
                     raise
 
     def ask(
         self, question: MessageKind, payload: bytes = b"", within_s: float | None = None
     ) -> Message:
-        """Send a query until it is answered; raise SilentBoardError if it is not, within
-        `answer_s` if no time is given."""
+        """Repeat a query until it is answered. Raises SilentBoardError after ``within_s``, by
+        default `answer_s`."""
         kind, first = protocol.ANSWERS[question], self.sent + 1
         deadline_s = self.now_s() + (self.answer_s if within_s is None else within_s)
 
         def answer() -> Message | None:
             reply = self._answers.get(kind)
-            # An answer of another version may name no query.
+            # An answer of another version may lack the number of the query.
             return reply if reply and (reply.about >= first or reply.version != VERSION) else None
 
         def is_over() -> bool:
@@ -147,7 +147,7 @@ class LinkSession:
         while self.now_s() < deadline_s:
             self.send(question, payload=payload)
             with self.news:
-                # In short waits: a stop of a board that is being opened wakes nobody.
+                # Wait in short steps: a stop while the board opens does not wake this thread.
                 any(self.wait(is_over, ASKED_AGAIN_S / 5) for _ in range(5))
                 if self.fault is not None:
                     raise self.fault
@@ -162,7 +162,7 @@ class LinkSession:
     # -- packets of the host -------------------------------------------------
 
     def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
-        """Return the host's next packet."""
+        """Encode the host's next packet."""
         if self.sent == LAST_NUMBER:
             raise LineLostError(f"the session of {LAST_NUMBER} packets is over")
         self.sent += 1
@@ -179,12 +179,11 @@ class LinkSession:
         *,
         proved: ProvedSequence | None = None,
     ) -> None:
-        """Write the next packet of the session; one that delivers a sequence is refused as
-        `Line.write` says."""
+        """Write the next packet of the session; for a packet with a sequence see `Line.write`."""
         try:
-            # Numbered under the lock, so that packets leave in order.
+            # Number packets under the lock, so that they are sent in order.
             with self.line.current():
-                # A leading zero ends any half packet on the line.
+                # A leading zero ends an incomplete packet on the line.
                 zero = b"\0" * (proved is None)
                 self.put(zero + self.encode(kind, about, payload), proved)
         except LineLostError as lost:
@@ -195,7 +194,7 @@ class LinkSession:
             self.paused_at_s = self.written_s
 
     def fail(self, fault: BoardError) -> None:
-        """Keep the first fault for the next call."""
+        """Store the first fault for the next call."""
         with self.news:
             self.fault = self.fault or fault
             self.news.notify_all()
@@ -214,7 +213,7 @@ class LinkSession:
                 return
             before_s, now_s = now_s, self.now_s()
             silent_s += min(now_s - before_s, LISTENED_S)
-            # Before a session a board sends nothing by itself.
+            # Before a session a board sends nothing unrequested.
             if self.take(data) or not self.begun:
                 silent_s = 0.0
             if silent_s > self.silence_s:
@@ -222,8 +221,8 @@ class LinkSession:
                 return
 
     def take(self, data: bytes) -> list[Message]:
-        """Process bytes from the board; return the packets of the session among them. Others are
-        counted: those that are old, of another session, or answers to what was not asked."""
+        """Process bytes from the board; return the packets of the session. Old packets, packets of
+        other sessions and unrequested answers are counted."""
         taken = []
         for message in map(protocol.decode, self._deframer.feed(data)):
             kind, is_answer = message.kind, message.kind in protocol.ANSWERS.values()
@@ -249,12 +248,12 @@ class LinkSession:
         return taken
 
     def refuse(self) -> None:
-        """Count a refused packet; those before CAPABILITIES are of an earlier run."""
+        """Count a refused packet, unless it is from an earlier run, before CAPABILITIES."""
         self.refused += self.number > HALF
 
     def _accept_offer(self, offer: Message) -> bool:
         if offer.version != VERSION:
-            # A board of another version is reported by its version.
+            # `accept` reports boards of other versions.
             return not self.begun
         was_asked = self._asked.pop(offer.about, None) == offer.kind
         if offer.session & HALF != self.number & HALF or not was_asked:
@@ -265,17 +264,18 @@ class LinkSession:
         return True
 
     def start_ns(self, board_us: int, sent_ns: int, now_ns: int) -> int:
-        """Return when a sequence began by the host's clock, by the answer that came fastest of the
-        last few: it was sent at a time, began at one of the board's clock, and was answered now."""
+        """Return the start of a sequence by the host's clock, from the fastest of the last answers.
+        ``board_us`` is the start by the board's clock, ``sent_ns`` the time of sending, ``now_ns``
+        the time of the answer."""
         if self._ahead_ns and 1000 * board_us + min(self._ahead_ns) < sent_ns:
-            # No sequence begins before it is sent: the board's clock has stood still.
+            # A start before sending means that the board's clock has paused.
             self._ahead_ns.clear()
         self._ahead_ns.append(now_ns - 1000 * board_us)
         return 1000 * board_us + min(self._ahead_ns)
 
 
 class SentPart(NamedTuple):
-    """Sequence on its way, or the part of one that a packet has room for."""
+    """Sent sequence, or the part of a sequence that fits a packet."""
 
     number: int
     proved: ProvedSequence
@@ -284,8 +284,7 @@ class SentPart(NamedTuple):
 
 
 class LinkDriver(Driver):
-    """Driver of a board at the far end of a serial line: ``link:PORT``, a device or any URL that
-    pyserial knows."""
+    """Driver of a board at a serial port: ``link:PORT``, a device or a URL of pyserial."""
 
     keeps_kernels: ClassVar[bool] = True
     _line: Line
@@ -295,21 +294,21 @@ class LinkDriver(Driver):
             raise BoardError("link: needs a port, for example link:/dev/ttyACM0")
         self.port = port
         self._session: LinkSession = LinkSession(self._receive)
-        self._flight: SentPart | None = None  # without an answer
+        self._flight: SentPart | None = None  # sent without an answer yet
         self._again_s = 0.0
         self._output, self._limits = output, limits
-        self.can: Capabilities | None = None  # of the board, once it has been asked
+        self.can: Capabilities | None = None  # known after CAPABILITIES
         self._number = 0
-        self._account: tuple[Any, ...] | None = None  # of the board at zero, since it was stopped
-        self._account_before: tuple[Any, ...] = ()  # when it was opened, at first or again
-        self._refused_before = 0  # packets that it had refused when it was opened at first
-        self._slots_sent = 0  # since it was opened, at first or again, repetitions included
-        self._unsafe_refused = 0  # sequences; those sent again may count twice
-        self._suspicion = ""  # fault found in what the board says, until the board is latched
+        self._account: tuple[Any, ...] | None = None  # REPORT of the stopped board
+        self._account_before: tuple[Any, ...] = ()  # REPORT at the last opening
+        self._refused_before = 0  # packets refused before the first opening
+        self._slots_sent = 0  # since the last opening, including repetitions
+        self._unsafe_refused = 0  # refused sequences; repeated ones may count twice
+        self._suspicion = ""  # fault found in reports, until the board is latched
         self._table: KernelTable | None = None
         self._image: encoding.KernelImage | None = None
-        self._sent: dict[int, SentPart] = {}  # the last of them, by their numbers
-        self._volts: list[NDArray[np.float32]] = []  # voltages of the parts of a scan so far
+        self._sent: dict[int, SentPart] = {}  # recent parts by number
+        self._volts: list[NDArray[np.float32]] = []  # voltages of earlier parts of a scan
 
     # -- the driver's interface --------------------------------------------
 
@@ -335,14 +334,14 @@ class LinkDriver(Driver):
         self._line.connect(str(self.port))
 
     def write(self, proved: ProvedSequence) -> None:
-        """Send a sequence, in parts where the board has no room for all of it: each is due when
-        the part before has begun."""
+        """Send a sequence, in parts if it exceeds the board's capacity; each part is due when the
+        one before has begun."""
         can, session, line = self.can, self._session, self._line
         assert can is not None
         for part in encoding.encode_scan(proved.sequence, proved.times, can, self._image):
             self._number += 1
             with session.news:
-                # The board has room for one.
+                # The board can hold one waiting sequence.
                 if (flight := self._flight) is not None and not session.wait(
                     lambda: not self._flight or session.fault is not None or line.is_stopped,
                     session.answer_s,
@@ -367,7 +366,7 @@ class LinkDriver(Driver):
                 raise
 
     def zero(self) -> None:
-        """Stop the board; latch it if it delivers slots after it has confirmed that."""
+        """Stop the board; latch it if it delivers slots after confirming the stop."""
         session = self._session
         with session.news:
             session.news.notify_all()
@@ -375,12 +374,12 @@ class LinkDriver(Driver):
             return
         try:
             if session.fault is not None:
-                # A line that has failed may still carry it.
+                # A failed line may still transmit the stop.
                 session.send(MessageKind.STOP)
                 return
             session.ask(MessageKind.STOP)
         except BoardError:
-            # A lost board has been reported, or will be at the next send.
+            # The loss of the board is reported now or at the next send.
             if session.fault is None:
                 raise
             return
@@ -390,7 +389,7 @@ class LinkDriver(Driver):
                 session.wait(lambda: False, AFTER_ZERO_S)
             self._account = self._ask_account()
         except BoardError:
-            # It has confirmed zero; what has become of the line since then changes nothing.
+            # The board has confirmed zero, so the state of the line does not matter.
             return
         if self._account[1] != slots:
             raise self._line.fault("the board delivered pulses after it had confirmed zero")
@@ -398,14 +397,14 @@ class LinkDriver(Driver):
     def close(self) -> None:
         session = self._session
         if session.begun:
-            # A board still in its session would refuse the next HELLO; after a stop this is barred.
+            # End the session, in which a board would refuse the next HELLO; not possible after a
+            # stop.
             with contextlib.suppress(BoardError):
                 session.send(MessageKind.STOP)
         session.close()
 
     def idle(self) -> float | None:
-        """Send a sequence without an ACK again, unless it is too late for it, and a heartbeat if
-        one is due."""
+        """Send a sequence without an ACK again unless it is late, and a heartbeat if one is due."""
         session = self._session
         if session.fault is not None:
             raise session.fault
@@ -413,31 +412,31 @@ class LinkDriver(Driver):
             fault = self._line.fault(self._suspicion)
             session.fail(fault)
             raise fault
-        # Nothing newer can go out between the look and the write.
+        # Hold the lock, so that no newer packet is sent between check and write.
         with self._line.current(), session.news:
             now_s, flight = session.now_s(), self._flight
             if flight is not None and now_s >= self._again_s:
                 self._again_s = now_s + AGAIN_S
                 self._unsafe_refused += 1
                 payload, proved = flight.part.payload, flight.proved
-                # If it is late, the next sequence reports that the board is lost. It has the same
-                # number: the board recognizes it if only the ACK was lost.
+                # If it is late, the next sequence reports the loss. It has the same number, so that
+                # the board recognizes it if only the ACK was lost.
                 with contextlib.suppress(SequenceLateError):
                     session.send(MessageKind.SEQUENCE, flight.number, payload, proved=proved)
         if session.begun and now_s - session.written_s > HEARTBEAT_S:
             session.send(MessageKind.HEARTBEAT)
-        # Nothing is due soon after a packet.
+        # next heartbeat
         return max(HEARTBEAT_S / 4, session.written_s + HEARTBEAT_S * 2 / 3 - now_s)
 
     # -- the session ---------------------------------------------------------
 
     def _take_offer(self, answer: Message) -> None:
-        """Take a board's capabilities if they fit the profile and, once its line was lost, those
-        from before. A wrong board has received no more than HELLO."""
+        """Accept a board's capabilities if they fit the profile and, after a lost connection, equal
+        the earlier ones. A wrong board receives only HELLO."""
         name, before = self._line.name, self.can if self._line.reopened else None
         if answer.version != VERSION:
             raise BoardError(
-                f"the board at {name} speaks link version {answer.version}, this program "
+                f"the board at {name} speaks link version {answer.version}, but this program "
                 f"{VERSION}: bring both to the same"
             )
         end = protocol.CAPABILITIES.size
@@ -463,11 +462,11 @@ class LinkDriver(Driver):
         if can.emergency_switch and answer.state & protocol.SWITCH_OPEN:
             raise self._emergency()
         if before not in (None, can):
-            raise OtherDeviceError(f"the board at {name} now is another: only HELLO was sent to it")
+            raise OtherDeviceError(f"another board is at {name}: only HELLO was sent to it")
         wanted = can.output if self._output is None else self._output.kind
         if (electrodes, can.output) != (self._limits.electrodes, wanted):
             raise BoardError(
-                f"the board at {name} has {electrodes} electrodes and is {can.output}, the "
+                f"the board at {name} has {electrodes} electrodes and is {can.output}, but the "
                 f"profile needs {self._limits.electrodes} and {wanted}: use the profile of this "
                 "board"
             )
@@ -483,14 +482,14 @@ class LinkDriver(Driver):
         self._give_kernels()
 
     def _give_kernels(self) -> None:
-        """Give the board as many kernels as it has room for; the rest goes as currents."""
+        """Store as many kernels as fit on the board; others are sent as currents."""
         can, self._image = self.can, None
         if self._table is None or can is None or not can.kernel_bytes or not can.packet_bytes:
             return
         image = encoding.KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
         piece = min(_PIECE, can.packet_bytes - encoding.OVERHEAD - protocol.KERNELS.size)
         at, furthest, data, idle = 0, 0, b"", 0
-        # What it keeps already is not sent again; a board that keeps nothing is lost.
+        # Send only kernels that are not stored yet; a board that stores nothing is lost.
         while idle < _IDLE:
             head = protocol.KERNELS.pack(image.identity, len(image.data), at)
             answer = self._session.ask(MessageKind.KERNELS, head + data).payload
@@ -504,19 +503,19 @@ class LinkDriver(Driver):
                     )
                 self._image = image
                 return
-            # The first query carries no kernels: its answer shows where to begin.
+            # The first query contains no kernels; its answer shows where to begin.
             stored = stored if identity == image.identity and stored < len(image.data) else 0
             idle = 0 if stored > furthest else idle + 1
             furthest = max(furthest, stored)
             at, data = stored, image.data[stored : stored + piece]
-        # Its session may have ended, as after 100 ms in which the host was held up.
+        # The session may have ended, for example after a pause of 100 ms of the host.
         raise LineLostError(
             f"the board at {self._line.name} does not keep the kernels that it is sent: check "
             "its firmware"
         )
 
     def _ask_account(self) -> tuple[Any, ...]:
-        """Return a REPORT: counts, mA and µC, in the order of `protocol.REPORT`."""
+        """Query a REPORT: counts, mA and µC, in the order of `protocol.REPORT`."""
         answer = self._session.ask(MessageKind.STATUS)
         if len(answer.payload) != protocol.REPORT.size:
             raise self._malformed()
@@ -525,7 +524,7 @@ class LinkDriver(Driver):
         return (*fields[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6, *fields[7:])
 
     def status(self) -> BoardReport:
-        """Return the board's report; latch the board if that has what was not sent."""
+        """Return the board's report; latch the board if it reports current that was not sent."""
         now, limits = self._account or self._ask_account(), self._limits
         before = self._account_before
         violations, slots = now[3] - before[3], now[1] - before[1]
@@ -537,7 +536,7 @@ class LinkDriver(Driver):
                 f"{self._unsafe_refused} sequences for one"
             )
         if slots > self._slots_sent:
-            raise fault(f"the board delivered {slots} slots where {self._slots_sent} were sent")
+            raise fault(f"the board delivered {slots} slots, but {self._slots_sent} were sent")
         if now[4] > max(before[4], largest_ma):
             raise fault(
                 f"the board delivered {now[4]:g} mA, above the {largest_ma:g} mA that may be sent"
@@ -577,7 +576,8 @@ class LinkDriver(Driver):
                 session.refuse()
 
     def _note_volts(self, sent: SentPart, payload: bytes) -> None:
-        """Report the voltages of a scan with those of its last part; an odd byte is dropped."""
+        """Report the voltages of a scan when those of its last part arrive; an odd byte is
+        dropped."""
         sequence, part = sent.proved.sequence, sent.part
         counts = np.frombuffer(payload[: len(payload) // 2 * 2], "<u2")
         if len(counts) != part.slots or not len(counts):
@@ -609,7 +609,7 @@ class LinkDriver(Driver):
             session.fail(self._emergency())
             return
         if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
-            # Our own part of it is sent again; REPORT counts the rest.
+            # The refused packet is sent again; REPORT counts all refusals.
             return
         if self._flight is None or self._flight.number != message.about:
             session.refuse()
@@ -618,7 +618,7 @@ class LinkDriver(Driver):
         line.board.refused += 1
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             self._unsafe_refused += 1
-            # Clocks differ: what rose too fast for the board's restarts at zero.
+            # Clocks differ, so a rise may be too fast for the board: restart at zero.
             lost = line.lost(f"refused sequence {message.about} as unsafe: {words}")
             session.fail(lost if rule == Rule.RISE else BoardError(str(lost)))
         elif why == Refusal.STOPPED and not line.is_stopped:

@@ -1,4 +1,4 @@
-"""Kernels, sequences and limits as payloads of ``link``: see ``firmware/PROTOCOL.md``."""
+"""Encoding of kernels, sequences and limits for ``link``, see ``firmware/PROTOCOL.md``."""
 
 import itertools
 import math
@@ -27,22 +27,22 @@ _MOST_SHAPES, _U16_MAX = 0xFF, 0xFFFF
 
 @dataclass(frozen=True, eq=False)
 class KernelImage:
-    """The kernels of a run, as bytes for a board."""
+    """Kernels of a run, encoded for a board."""
 
     table: KernelTable
-    count: int  # kernels that the board has room for: the first of the table
+    count: int  # number of kernels that fit on the board, the first of the table
     data: bytes
     identity: bytes
 
     @classmethod
     def of(cls, table: KernelTable, room: int, most: int) -> Self:
-        """Return as many kernels as there is room for, in bytes and in number."""
+        """Encode as many kernels as fit the capacity in bytes and in number."""
         data, count = kept_kernels(table.weights, table.site, room, most)
         return cls(table, count, data, protocol.digest_of(data))
 
 
 def encode_limits(limits: SafetyLimits) -> bytes:
-    """Return the payload of LIMITS: nothing in it allows more than the limits do."""
+    """Return the payload of LIMITS, rounded to the safe side."""
     part, duty_whole = limits.duty_ratio
     head = protocol.LIMITS.pack(
         limits.period_us, limits.total_ua, limits.pulse_whole_us, math.ceil(limits.full_ua),
@@ -56,18 +56,17 @@ def encode_limits(limits: SafetyLimits) -> bytes:
 
 
 class ScanPart(NamedTuple):
-    """Part of a scan, which is all of it where the board has room for that."""
+    """Part of a scan, or the complete scan if it fits."""
 
     payload: bytes
-    first: int  # slot of the scan with which it begins
+    first: int  # first slot of the part
     slots: int
 
 
 def encode_scan(
     sequence: ScanSequence, times: int, can: Capabilities, image: KernelImage | None
 ) -> list[ScanPart]:
-    """Return a proved sequence as payloads of SEQUENCE, in parts where the board has no room for
-    all of it.
+    """Encode a proved sequence as payloads of SEQUENCE, in parts if necessary.
 
     Slots whose currents are just what the board makes of kernels that it keeps (``image``) become
     lists of these; others are written as currents, or as states for a board with one source.
@@ -103,12 +102,12 @@ def encode_scan(
 
 
 class _Columns(NamedTuple):
-    """Slots in the forms that go into payloads."""
+    """Slots in encoded form."""
 
     shapes: bytes  # table of pulse shapes
-    shape: NDArray[np.intp]  # (S,) place in it
+    shape: NDArray[np.intp]  # (S,) index into `shapes`
     kind: NDArray[np.intp]  # (S,) kind of group
-    first: NDArray[np.intp]  # (S + 1,) where the list of each slot begins in ``pairs``
+    first: NDArray[np.intp]  # (S + 1,) start of each slot's list in ``pairs``
     pairs: NDArray[np.uint16]  # (N, 2) kernels and amplitudes
     rows: NDArray[np.int16] | NDArray[np.uint8]  # site and currents, or site, source and states
 
@@ -134,7 +133,7 @@ def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) 
     if (
         image is not None and not switched and len(sequence.site) and isinstance(lists, KernelLists)
         and lists.table is image.table
-        # Other types and sizes would wrap around on the wire.
+        # Other types and sizes could overflow on the wire.
         and lists.first.dtype == np.intp
         and [lists.kernel.dtype, lists.amplitude.dtype] == [np.dtype(np.uint16)] * 2
         and (len(lists.first), lists.first[0]) == (len(sequence.site) + 1, 0)
@@ -143,7 +142,7 @@ def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) 
         and lists.kernel.max() < len(lists.table.weights)
     ):  # fmt: skip
         first, pairs = lists.first, np.array([lists.kernel, lists.amplitude], "<u2").T
-        # Slots are lists if a board makes just the proved currents of them, in its 32 bits.
+        # Use lists only if the board computes exactly the proved currents, in 32 bits.
         same = (lists.site == sequence.site) & (lists.current_ua == current_ua).all(axis=1)
         same &= (np.maximum.reduceat(lists.kernel, first[:-1]) < image.count) & (counts <= FULL)
         same &= np.add.reduceat(lists.amplitude, first[:-1], dtype=np.int64) <= FULL
@@ -153,7 +152,7 @@ def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) 
 
 
 def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> NDArray[np.uint8]:
-    """Return site, current of the one source, and states of each slot."""
+    """Return site, source current and states of each slot."""
     source_ua = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)
     strongest = int(source_ua.max(initial=0))
     if strongest > _U16_MAX:
@@ -171,7 +170,7 @@ def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> N
 def _payload(
     sequence: ScanSequence, columns: _Columns, start: int, end: int, times: int, measure: bool
 ) -> bytes:
-    """Return some slots as a payload; the recharge phase goes with the last one."""
+    """Return the payload of some slots; the last one includes the recharge phase."""
     shapes, shape, kind, first, pairs, rows = columns
     flags = protocol.GOES_ON * (start > 0) | protocol.MORE * (end < len(sequence.site))
     flags |= protocol.MEASURE * measure
@@ -183,7 +182,7 @@ def _payload(
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
     head = protocol.SEQUENCE.pack(sequence.period_us, times, intensity, flags, len(shapes) // 4)
     data, starts = [head, shapes, tail], np.arange(start, end)
-    # Each sum stands alone.
+    # Each sum is its own group.
     cuts = (np.diff(kind[start:end]) != 0) | (np.diff(shape[start:end]) != 0)
     cuts |= kind[start + 1 : end] == SUM
     bounds = [start, *starts[1:][cuts].tolist(), end] if end > start else []
