@@ -203,7 +203,7 @@ class ETactileKitDriver(Driver):
 
     def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
         self._limits = limits
-        # A board that is away goes on by itself, unless the watchdog has put it at zero.
+        # A disconnected board continues by itself, unless the watchdog has set it to zero.
         self._opening, self._away = True, line.reopened and not self._kit.watched.at_zero
         try:
             if not line.reopened:

@@ -38,12 +38,14 @@ ASKED_AGAIN_S = 0.25  # time after which a query is sent again
 PAUSED_S = 1.0  # time for which a pause of this computer explains refusals
 LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
-AFTER_ZERO_S = 0.02  # after a stop, in which no slot may be counted: a period at 50 Hz
-OLD_PACKETS = slice(8, 10)  # refused ones in a board's account: old, and of another session
-MOST_COMPLIANCES = 2.1  # of a slot: sources of both poles reach twice the compliance
-OPEN_SHARE = 0.97  # of the compliance: if all slots reach it, nothing touches the electrodes
-_PIECE = 1024  # bytes of kernels at once: nothing else can pass while they do
-_IDLE = 3  # times that nothing new may have been kept
+AFTER_ZERO_S = 0.02  # wait after a stop, a period at 50 Hz, in which no slot may be counted
+OLD_PACKETS = slice(8, 10)  # in REPORT: refused packets, old ones and those of another session
+MOST_COMPLIANCES = (
+    2.1  # largest voltage of a slot: sources of both poles reach twice the compliance
+)
+OPEN_SHARE = 0.97  # share of the compliance; if all slots reach it, nothing touches the electrodes
+_PIECE = 1024  # bytes of kernels in one packet, which blocks the line
+_IDLE = 3  # attempts without newly stored kernels
 
 
 class LinkSession:

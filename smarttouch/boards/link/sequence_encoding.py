@@ -85,7 +85,7 @@ def encode_scan(
             middle = (start + end) // 2
             waiting += [(middle, end), (start, middle)]
         elif image is not None:
-            # One slot may have too many kernels.
+            # A single slot may have too many kernels.
             return encode_scan(sequence, times, can, None)
         elif end - start > 1:
             raise BoardError(
