@@ -124,8 +124,12 @@ def load_cell(monkeypatch):
 
 
 def test_force_of_an_emulated_load_cell(run, tmp_path, load_cell):
-    force = f"force --cell {load_cell} --seconds 0.15"
-    shown = done(run(f"{force} --output mine.toml"))
+    for seconds in (0.15, 3.0):
+        # A computer that is too busy is told to read longer.
+        result = run(f"force --cell {load_cell} --seconds {seconds} --output mine.toml")
+        if not isinstance(result.exception, CalibrationError):
+            break
+    shown = done(result)
     assert "line through 6 weighings from 0 to 100 g" in shown
     zero_n, slope_n = load_profile(tmp_path / "mine.toml").force.curve
     # The emulator's own: 50,000 counts a newton above 80,000.
@@ -154,7 +158,13 @@ def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkey
     monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
     events = ("event=0 open 5", "event=0 short 9")
     _, port, _ = start_emulator(32, "etactilekit", *events)
-    shown = done(run(f"contact --board etactilekit:{port} --output mine.toml"))
+
+    def measured():
+        result = run(f"contact --board etactilekit:{port} --output mine.toml")
+        # A computer that is too busy is told to measure again.
+        return None if isinstance(result.exception, BoardError) else result
+
+    shown = done(until(measured))
     profile = load_profile(tmp_path / "mine.toml")
     assert profile.title == load_profile("etactilekit-32").title
     assert profile.output.masked == (5, 9)

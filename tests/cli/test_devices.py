@@ -86,7 +86,7 @@ def test_info(program_here, kit):
 def test_a_walk_through_the_electrodes(program_here, kit):
     url, books = kit
     done = program_here(
-        f"devices test {url} --force fixed:1 --seconds 0.15 --current-ma 0.3"
+        f"devices test {url} --force fixed:1 --seconds 0.08 --current-ma 0.3"
     ).fine()
     assert "at zero" in done.stdout
     state = state_of(books)

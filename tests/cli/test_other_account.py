@@ -140,7 +140,7 @@ COMMANDS = {
          "--simulate", "model", "--output", "a.csv"),
     ),
     "profile": (
-        ("calibrate", "contact", "--profile", "smarttouch-4x4", "--output", "mine.toml"),
+        ("profiles", "new", "--grid", "4x4", "--pitch", "1.4", "mine.toml"),
     ),
 }  # fmt: skip
 
