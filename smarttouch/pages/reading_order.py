@@ -135,15 +135,22 @@ def _ordered(rows: list[Row]) -> list[Line]:
     _join_justified(rows)
     _join_justified(rows[::-1])
     lines: list[Line] = []
-    for band, gaps in _bands(rows):
+    bands = list(_bands(rows))
+    while bands:
+        band, gaps = bands.pop(0)
         ends = [-math.inf, *(right for _, right in gaps), math.inf]
         columns = [_part(band, *pair) for pair in itertools.pairwise(ends)]
         shares = [
             _share_of_prose(band, left, right, end)
             for left, right, end in zip(columns, columns[1:], ends[1:], strict=False)
         ]
-        share, end = max(zip(shares, ends[1:], strict=False), default=(0.0, 0.0))
-        parts = [_part(band, -math.inf, end), _part(band, end)] if share >= 1 else _blocks(band)
+        share, gap = max(zip(shares, gaps, strict=True), default=(0.0, (0.0, 0.0)))
+        insets: list[Row] = []
+        while share >= 1 and bands and (across := _insets(bands[0][0], gap)) is not None:
+            insets += across
+            band += [[part for part in row if [part] not in across] for row in bands.pop(0)[0]]
+        parts = [_part(band, -math.inf, gap[1]), _part(band, gap[1]), insets]
+        parts = list(filter(None, parts)) if share >= 1 else _blocks(band)
         ordered = _lines(band) if len(parts) == 1 else [
             line for part in parts for line in _ordered(part)
         ]  # fmt: skip
@@ -151,6 +158,15 @@ def _ordered(rows: list[Row]) -> list[Line]:
             line.is_doubtful |= any(1 / _SURE < share < _SURE for share in shares)
         lines += ordered
     return lines
+
+
+def _insets(rows: list[Row], gap: _Span) -> list[Row] | None:
+    """Return the lines that lie across a gap of columns and have text at both sides, as those of a
+    caption do; None if other text lies across it."""
+    across = [[part] for row in rows for part in row if part.left < gap[1] and part.right > gap[0]]
+    beside = [[part for part in row if [part] not in across] for row in rows]
+    sides = _part(beside, -math.inf, gap[1]), _part(beside, gap[1])
+    return across if len(across) <= 2 * min(map(len, sides)) else None
 
 
 def _blocks(rows: list[Row]) -> list[list[Row]]:
