@@ -486,8 +486,6 @@ class Board:
     def _serve(self, ending: threading.Event) -> None:
         """Write queued sequences, and call `Driver.idle` between them."""
         wait_s: float | None = 0.0
-        proved: ProvedSequence | None = None
-
         while True:
             with self._news:
                 self._busy = False
@@ -549,7 +547,7 @@ class Board:
         self._line.require_running()
         self._gate.restart()
         try:
-            self.take_volts()
+            self._volts.clear()
             return measure_by_probes(self._probe, self._limits, self._output, self.capabilities)
         finally:
             # The next run starts at zero, and its time may restart.

@@ -147,7 +147,11 @@ class _Process:
     def _stop_requested(self, reason: str) -> bool:
         at_zero = self.end(reason)
         if self.command is not None:
-            _interrupt_main_thread()
+            # The main thread must end what it waits for.
+            if hasattr(signal, "pthread_kill"):
+                signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+            else:
+                signal.raise_signal(signal.SIGTERM)
         return at_zero
 
 
@@ -319,11 +323,3 @@ def stoppable_run(stop: StopRequest, board: "Board") -> Iterator[Callable[[], No
             _process.withdraw()
         if main and signals is not None and _process.command is None:
             signals.end_main_thread()
-
-
-def _interrupt_main_thread() -> None:
-    """Send SIGTERM to the main thread of this process, to end its waits."""
-    if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
-    else:
-        signal.raise_signal(signal.SIGTERM)
