@@ -64,9 +64,10 @@ class Output:
         if self.number is not None:
             self.waiting += text.encode(self._stream.encoding or "utf-8", "backslashreplace")
         else:
-            waiting = self.waiting.decode(self._stream.encoding or "utf-8") if self.waiting else ""
-            self.waiting.clear()
-            self._stream.write(waiting + text)
+            # As bytes: what a terminal has taken may end within a sign.
+            while self.waiting:
+                del self.waiting[: os.write(self._stream.fileno(), self.waiting)]
+            self._stream.write(text)
         return len(text)
 
     def flush(self) -> None:
