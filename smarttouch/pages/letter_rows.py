@@ -102,10 +102,9 @@ def like_letters(components: Components, height: float) -> NDArray[np.bool_]:
 
 def are_pictures(components: Components, height: float) -> NDArray[np.bool_]:
     """Return for each component, (N,), whether it is large both ways, and filled."""
-    large = np.minimum(components.width, components.height) > _LETTER[1] * height
-    return np.asarray(
-        large & (components.area > _FILLED * components.width * components.height), np.bool_
-    )
+    wide, tall = components.width, components.height
+    large = np.minimum(wide, tall) > _LETTER[1] * height
+    return np.asarray(large & (components.area > _FILLED * wide * tall))
 
 
 def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
@@ -178,10 +177,7 @@ def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[
     start, end = letters.right[first] - 1, letters.left[second]
     middle = (letters.top[first] + letters.bottom[first]) // 2
     passed = (np.cumsum(mask, axis=1, dtype=np.int32) for mask in (walls, lanes))
-    walled, laned = (
-        count[middle * len(count) // len(ink), end] > count[middle * len(count) // len(ink), start]
-        for count in passed
-    )
+    walled, laned = (count[middle, end] > count[middle, start] for count in passed)
     # Letters of a headline are farther apart than columns.
     wide = 2 * gap > _NARROWEST * (letters.height[first] + letters.height[second])
     free = ~(walled | (laned & wide))
@@ -196,8 +192,8 @@ def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[
 
 
 def _lanes(ink: Ink, height: float, space: float) -> Ink:
-    """Return the tall white between print on both sides, (h, W)."""
-    part = max(1, int(height / _LANE_PX))
+    """Return the tall white between print on both sides, (H, W)."""
+    part, rows = max(1, int(height / _LANE_PX)), len(ink)
     ink = np.logical_or.reduceat(ink, np.arange(0, len(ink), part), axis=0)
     page = ink.view(np.uint8)
     beside = np.ones((1, round(_LANE_REACH * height)), np.uint8)
@@ -211,7 +207,7 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
         width = max(3, round(max(_NARROWEST * height, spaces * space)))
         lane = np.ones((round(length * height / part), width), np.uint8)
         lanes |= cv2.morphologyEx(white.view(np.uint8), cv2.MORPH_OPEN, lane) > 0
-    return lanes
+    return np.repeat(lanes, part, axis=0)[:rows]
 
 
 def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
@@ -255,12 +251,11 @@ _NEAR = (0.1, 0.5)  # distance within which letters are equally high: in x-heigh
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of the reach of ascenders and of descenders from the baseline, in x-heights."""
 _UNDECIDED = 0.2  # part of the letters that end above a baseline that may be too low
-_LEAST_X_HEIGHT_PX = 3.5  # least x-height of readable print
 _STROKES = (0.75, 2.9)  # strokes per x-height of letters; print has 0.9 to 1.9
 _TOUCHING = 1.3  # usual width of components in which letters run together, in x-heights
 _ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.6, 0.5, 0.8
 """Least part of the letters that begin and end at usual heights, where they touch, and of few."""
-_MANY, _SOLID = 8, 0.75
+MANY, _SOLID = 8, 0.75
 """Letters of a line that stands for itself; filled part of a box above which it is a disc or a
 square, if it is as wide as high."""
 
@@ -285,21 +280,7 @@ class Baseline:
     @property
     def middle_y(self) -> float:
         """Baseline's y halfway along the row."""
-        return float(polynomial.polyval((self.right - self.left) / 2, self.curve))
-
-    def slope(self, x: float) -> float:
-        """Return the slope of the baseline at x, positive if it falls."""
-        inside = min(max(x - self.left, 0.0), self.right - self.left)
-        return float(polynomial.polyval(inside, polynomial.polyder(self.curve)))
-
-    def distance(self, x: float, y: float) -> float:
-        """Return how far a place is above or below, and beside the row."""
-        return abs(self.middle_y - y) + max(self.left - x, x - self.right, 0.0)
-
-    @property
-    def is_too_small(self) -> bool:
-        """Whether it may be a line of text too small to be read."""
-        return self.x_height < _LEAST_X_HEIGHT_PX and len(self.letters.area) >= _MANY
+        return float(self.at(np.array((self.left + self.right) / 2)))
 
     @property
     def is_text(self) -> bool:
@@ -308,15 +289,13 @@ class Baseline:
         # Dashes and wide spaces have little ink.
         covered = min(1.0, float(letters.width.sum()) / (self.right - self.left))
         touching = float(np.median(letters.width)) > _TOUCHING * self.x_height
+        least = _TOUCHING_ON_LEVELS if touching else _ON_LEVELS
+        least = least if len(self.rise) >= MANY else _FEW_ON_LEVELS
         wide = float(np.median(letters.width / letters.height))
         filled = float(np.median(letters.area / (letters.width * letters.height)))
-        least = _TOUCHING_ON_LEVELS if touching else _ON_LEVELS
-        return (
-            self.x_height >= _LEAST_X_HEIGHT_PX
-            and _STROKES[0] * covered < self.strokes < _STROKES[1]
-            and (wide < 1 or filled < _SOLID or len(letters.area) < _MANY)
-            and self.on_levels >= (least if len(self.rise) >= _MANY else _FEW_ON_LEVELS)
-        )
+        if wide >= 1 and filled >= _SOLID and len(letters.area) >= MANY:
+            return False
+        return _STROKES[0] * covered < self.strokes < _STROKES[1] and self.on_levels >= least
 
     @property
     def on_levels(self) -> float:
@@ -393,18 +372,14 @@ def _pieces(ink: Ink, letters: Components, height: float) -> tuple[Floats, Float
 
 def _fitted(x: Floats, y: Floats, degree: int) -> Floats:
     """Return the coefficients of a curve that is close to most points."""
-    scale = max(1.0, float(np.abs(x).max(initial=0)))
-    powers = np.power.outer(x / scale, np.arange(degree + 1))
-    weight = np.ones_like(y)
+    weight, curve = np.ones_like(y), np.zeros(1)
     for _ in range(_ROUNDS):
-        weighted = powers.T * weight
-        # Points in one place determine no slope: it is the least one then.
-        level = 1e-9 * weight.sum() * np.eye(degree + 1)
-        coefficients = np.linalg.solve(weighted @ powers + level, weighted @ y)
-        away = y - powers @ coefficients
+        # The full answer has no warning where points in one place determine no slope.
+        curve = np.asarray(polynomial.polyfit(x, y, degree, full=True, w=weight)[0])
+        away = y - polynomial.polyval(x, curve)
         # Descenders are all on one side.
         off = np.where(away > 0, _DESCENDING, 1) * np.abs(away)
         typical = float(np.partition(off, len(off) // 2)[len(off) // 2])
         # Geman and McClure's weights.
-        weight = 1 / (1 + (off / max(1.5 * typical, 0.3)) ** 2) ** 2
-    return np.asarray(coefficients / scale ** np.arange(degree + 1))
+        weight = 1 / (1 + (off / max(1.5 * typical, 0.3)) ** 2)
+    return curve

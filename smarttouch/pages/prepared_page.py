@@ -12,7 +12,6 @@ from PIL import Image, ImageDraw, ImageFont
 from smarttouch.base.errors import PageError
 from smarttouch.pages.ink import Grey
 from smarttouch.pages.page_image import INCH_MM, Page, TextLine, require_size_mm
-from smarttouch.pages.reading_order import DOUBTFUL
 from smarttouch.pages.text_lines import page_lines
 
 _AROUND = 0.8  # extent of the page considered above and below a line, in heights of the line
@@ -143,8 +142,6 @@ def _is_sheet(corners: Corners, covered: float, paper: Grey) -> bool:
 
 LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
 """Note of a sheet that was found."""
-LEFT_OUT = "left out: "  # beginning of the note on what is not among the lines
-FAINT = "faint marks, as of print on the back of the sheet"
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,14 +178,8 @@ def prepare_page(
         page = Page(flattened(page.grey, corners), page.mm_per_pixel)
         notes.append(LAID_FLAT)
     found = page_lines(page, light_on_dark, leftward, turn=True)
-    if found.skew_deg:
-        notes.append(f"the text was tilted by {abs(found.skew_deg):.1f}° and was turned level")
-    if found.is_doubtful:
-        notes.append(DOUBTFUL)
     paper = found.paper
-    left_out = [words for words in (found.left_out, FAINT if paper.faint else "") if words]
-    if left_out:
-        notes.append(LEFT_OUT + ", ".join(left_out))
+    notes += found.notes
     return PreparedPage(
         found.page, paper.cleaned, tuple(found.lines), paper.light_on_dark, tuple(notes)
     )

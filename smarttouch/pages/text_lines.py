@@ -8,6 +8,7 @@ import numpy as np
 
 from smarttouch.pages.ink import Grey, Paper, separate_ink
 from smarttouch.pages.letter_rows import (
+    MANY,
     Baseline,
     Components,
     Floats,
@@ -23,22 +24,20 @@ from smarttouch.pages.letter_rows import (
     weighted_median,
 )
 from smarttouch.pages.page_image import Page, TextLine
-from smarttouch.pages.reading_order import Segment, reading_order
+from smarttouch.pages.reading_order import DOUBTFUL, Segment, reading_order
 
 
 @dataclass(frozen=True)
 class PageLines:
-    """Page, its ink, its lines in reading order, what was left out, in words, whether the order is
-    doubtful, and by how many degrees the page was turned to be level."""
+    """Page, its ink, its lines in reading order, and notes on how they were found."""
 
     page: Page
     paper: Paper
     lines: list[TextLine]
-    left_out: str = ""
-    is_doubtful: bool = False
-    skew_deg: float = 0.0
+    notes: tuple[str, ...] = ()
 
 
+FAINT = "faint marks, as of print on the back of the sheet"
 _SMALL_PX, _LARGEST_PIXELS = 9.0, 40_000_000
 """Height of letters below which a page is enlarged, and the largest enlarged page."""
 _FEWEST_PIXELS = 3  # least area of a part of print
@@ -61,11 +60,13 @@ def page_lines(
     components, labels = find_components(paper.ink)
     height = usual_height(components, paper.ink.shape)
     if height is None:
-        return PageLines(page, paper, [])
+        return PageLines(page, paper, [], ("left out: " + FAINT,) * paper.faint)
     skew_deg = skew_of(components.of(like_letters(components, height)), height)
     if turn and skew_deg:
         page = Page(turned(page.grey, skew_deg), page.mm_per_pixel)
-        return replace(page_lines(page, paper.light_on_dark, leftward), skew_deg=skew_deg)
+        found = page_lines(page, paper.light_on_dark, leftward)
+        note = f"the text was tilted by {abs(skew_deg):.1f}° and was turned level"
+        return replace(found, notes=(note, *found.notes))
     factor = math.ceil(_SMALL_PX / height)
     if 1 < factor**2 <= _LARGEST_PIXELS / page.grey.size:
         grey = cv2.resize(page.grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
@@ -89,18 +90,21 @@ def page_lines(
     rows = find_rows(letters, parted, walls, height)
     slope = math.tan(math.radians(skew_deg))
     lines, small = _measured(parted, rows, slope)
+    order, is_doubtful = _ordered(lines, components, page, slope, leftward)
     counts = ((small, "line", "too small"), (int(pictures.sum()), "picture", ""))
-    left_out = ", ".join(f"{n} {what}{'s' * (n > 1)} {why}".strip() for n, what, why in counts if n)
-    if not lines:
-        return PageLines(page, paper, [], left_out)
-    order, is_doubtful = _ordered(_with_marks(lines, components), page, slope, leftward)
-    return PageLines(page, paper, order, left_out, is_doubtful)
+    left_out = [f"{n} {what}{'s' * (n > 1)} {why}".strip() for n, what, why in counts if n]
+    left_out += [FAINT] * paper.faint
+    notes = (DOUBTFUL,) * is_doubtful + ("left out: " + ", ".join(left_out),) * bool(left_out)
+    return PageLines(page, paper, order, notes)
 
 
 def _ordered(
-    lines: list[Baseline], page: Page, slope: float, leftward: bool
+    lines: list[Baseline], components: Components, page: Page, slope: float, leftward: bool
 ) -> tuple[list[TextLine], bool]:
-    """Return lines in reading order, in mm, and whether that is doubtful."""
+    """Return lines with their marks in reading order, in mm, and whether that is doubtful."""
+    if not lines:
+        return [], False
+    lines = _with_marks(lines, components)
     x_height, ascent, descent = _sizes(lines)
     levels = [line.middle_y - slope * (line.left + line.right) / 2 for line in lines]
     sizes = ((ascent + descent) * x_height / _HEIGHT).tolist()
@@ -188,6 +192,7 @@ def _panels(ink: Ink, components: Components, height: float) -> Ink:
 
 _HOPELESS, _MISSES = 60, 3
 """Failed rows, and additional ones per line of text, after which the rest is a picture's."""
+_LEAST_X_HEIGHT_PX = 3.5  # least x-height of readable print
 _SHORT = 11.0  # length of a row, in letter heights, below which it has the slope of one nearby
 
 
@@ -200,21 +205,24 @@ def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Base
             break
         if row.length < _SHORT and measured:
             x, y = float(np.median(row.left)), float(np.median(row.bottom))
-            slope = min(measured, key=lambda line: line.distance(x, y)).slope(x)
-        baseline = measure_row(ink, row, slope)
-        small += baseline.is_too_small
-        if baseline.is_text:
-            measured.append(baseline)
+            off = [
+                abs(line.middle_y - y) + max(line.left - x, x - line.right, 0) for line in measured
+            ]
+            slope = float(np.diff(measured[int(np.argmin(off))].at(np.array([x, x + 1])))[0])
+        line = measure_row(ink, row, slope)
+        if line.x_height < _LEAST_X_HEIGHT_PX:
+            small += len(row.area) >= MANY
+        elif line.is_text:
+            measured.append(line)
     return _credible(ink, measured), small
 
 
-_EVEN, _FEW, _MANY, _SIMILAR, _MOST_OF_ALL = 0.85, 4, 8, 1.7, 0.8
-"""Part of the letters at their levels of a line that needs few to be sure, and letters of one that
-needs many; ratio of sizes at which others are lines, and their part of all ink without any sure."""
+_EVEN, _FEW, _SIMILAR, _MOST_OF_ALL = 0.85, 4, 1.7, 0.8
+"""Part of the letters at their levels of a line that needs few to be sure, and these few; ratio of
+sizes at which others are lines, and their part of all ink without any sure."""
 _OWN, _AROUND, _FOREIGN, _NEAR_FOREIGN = (-1.8, 0.6), (-1.7, 0.5), 0.1, 0.5
 """Extent of a line around its baseline, in x-heights, and of the ink around it, in letter heights;
 most foreign ink there, relative to its own and for each of its letters, also of an even line."""
-_PLACES = 20  # points along a line
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
@@ -223,7 +231,7 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
     rest = ink.astype(np.uint8)
     for line in lines:
         if len(line.rise) > 1:
-            x = np.linspace(line.left, line.right, _PLACES)
+            x = np.linspace(line.left, line.right, 20)
             top, bottom = (line.at(x) + reach * line.x_height for reach in _OWN)
             corners = np.column_stack([np.append(x, x[::-1]), np.append(top, bottom[::-1])])
             cv2.fillPoly(rest, [np.rint(corners).astype(np.int32)], (0,))
@@ -236,9 +244,9 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
         area = int(line.letters.area.sum())
         foreign = np.diff(np.diff(total[np.ix_(rows, ends)]), axis=0).sum() - area * (count == 1)
         limit = _NEAR_FOREIGN if even and count >= _FEW else _FOREIGN
-        if foreign < limit * area * min(count, _MANY):
+        if foreign < limit * area * min(count, MANY):
             credible.append(line)
-            sure += [line.x_height] if count >= (_FEW if even else _MANY) else []
+            sure += [line.x_height] if count >= (_FEW if even else MANY) else []
     if not sure:
         area = sum(int(line.letters.area.sum()) for line in credible)
         return credible if area > _MOST_OF_ALL * np.count_nonzero(ink) else []
