@@ -64,7 +64,7 @@ class Capabilities:
             silence = f"no current {self.time_to_zero_ms:g} ms after the host's last byte"
         if self.kept_ms is not None:
             kept = f"zero {self.kept_ms:g} ms after the program ends or hangs"
-            silence = f"{kept}; by itself: {silence}"
+            silence = f"{kept}; without the watchdog {silence}"
         names = ("acknowledgments", "voltages", "finger force")
         reported = compress(names, (self.acknowledges, self.measures, self.force))
         return [

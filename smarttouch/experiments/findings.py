@@ -249,7 +249,7 @@ def _ends(bounds: Bounded | None) -> dict[str, float | None] | None:
     }
 
 
-_TICKS = (0.25, 0.33, 0.5, 0.67, 0.8, 1, 1.25, 1.5, 2, 3, 4)  # of comparison / standard
+_TICKS = (0.25, 0.33, 0.5, 0.67, 0.8, 1, 1.25, 1.5, 2, 3, 4)  # ticks on the axis
 Series = tuple[AnswerTable, Sequence[Finding]]  # one file
 
 

@@ -1,1 +1,1 @@
-"""Image files and documents become pages in millimeters, with their lines of text in order."""
+"""Pages from image files and documents: scale in millimeters, lines of text and reading order."""

@@ -1,4 +1,4 @@
-"""Documents: a PDF with its text, a TIFF of many pages or one image, loaded page by page."""
+"""Documents: PDF with text, multi-page TIFF or image, loaded page by page."""
 
 import contextlib
 import ctypes
@@ -40,11 +40,12 @@ if TYPE_CHECKING:
 
 PDF_DPI = 300.0
 MOST_RENDERED_PIXELS = 36_000_000
-"""Most pixels of a PDF's page, A2 at 300 dots per inch. Larger ones are rendered coarser: most are
-scans whose size in points is that in pixels, without finer detail."""
+"""Largest rendering of a PDF page, A2 at 300 dots per inch. Larger pages are rendered coarser: most
+are scans with one point per pixel."""
 GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
 _SIGNATURE, _SIGNATURE_WITHIN = b"%PDF-", 1024
-"""Beginning of a PDF, and the bytes in which readers look for it (ISO 32000-1, Annex H.3.4.1)."""
+"""Header of a PDF, and the number of bytes in which readers search for it (ISO 32000-1, Annex
+H.3.4.1)."""
 _MOST_PASSWORD_BYTES = 4096
 
 
@@ -53,13 +54,12 @@ class LockedError(PageError):
 
 
 class Document(Closing):
-    """Pages of a PDF, a TIFF or any other image, recognized by its content, loaded on request.
+    """Pages of a PDF, TIFF or other image, identified by content and loaded on request.
 
-    A PDF is rendered, with filled-in forms, and brings its text; an image is open only while a page
-    is loaded. One thread at a time may load pages. ``notes`` lists what was assumed; ``has_scale``
-    says that the file surely states the size of its pages, as a PDF does. ``dpi`` replaces an
-    image's own resolution, or the 300 at which a PDF is rendered; ``page_width_mm`` replaces the
-    file's own scale.
+    A PDF is rendered, including filled-in forms, and provides its text. An image file is open only
+    during loading. Only one thread at a time may load pages. ``notes`` lists assumptions;
+    ``has_scale`` is whether the file reliably states the page size, as PDFs do. ``dpi`` replaces an
+    image's resolution, or the 300 for rendering PDFs; ``page_width_mm`` replaces the scale.
     """
 
     def __init__(
@@ -103,11 +103,11 @@ class Document(Closing):
             with contextlib.closing(self._pdf[index]) as sheet:
                 with contextlib.closing(sheet.get_textpage()) as text:
                     printed: int = text.count_chars()
-                # Filled-in fields become a part of the page and its text.
+                # Make filled-in fields a part of the page and its text.
                 pypdfium2.raw.FPDFPage_Flatten(sheet, pypdfium2.raw.FLAT_NORMALDISPLAY)
             with contextlib.closing(self._pdf[index]) as sheet:
                 return self._pdf_page(sheet, name, printed)
-        # PDFium has no rotation of a page whose description is damaged.
+        # PDFium cannot tell the rotation of a damaged page.
         except (pypdfium2.PdfiumError, KeyError):
             raise PageError(f"{name} cannot be read: the file is damaged") from None
 
@@ -142,17 +142,17 @@ class Document(Closing):
         scale = point_mm / mm_per_pixel
         require_pixels(name, math.ceil(width * scale), math.ceil(height * scale))
         with contextlib.closing(sheet.render(scale=scale, grayscale=True)) as bitmap:
-            # A copy, as the bitmap frees its memory.
+            # Copy, because the bitmap frees its memory.
             grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
         page = Page(grey, mm_per_pixel)
         return _with_text(page, signs, point_mm) if signs else page
 
 
 def password_of(path: Path, password_file: str | None = None) -> str | None:
-    """Return the password of a document; None if it needs none.
+    """Return the password of a document, or None if it needs none.
 
-    It is the first line of a file, or of standard input for ``-``; without one it is asked for
-    where somebody sits at a terminal.
+    It is the first line of a file, or of standard input for ``-``; the default is to ask at the
+    terminal.
     """
     if password_file is None:
         try:
@@ -172,7 +172,7 @@ def password_of(path: Path, password_file: str | None = None) -> str | None:
 
 
 def parse_pages(text: str, count: int) -> list[int]:
-    """Return the indices, from 0, of pages in a list such as ``1,3-5`` or ``7-``, in its order."""
+    """Parse a list of pages such as ``1,3-5`` or ``7-``; return indices from 0."""
     indexes: list[int] = []
     for part in text.split(","):
         # Python refuses to convert very long numbers.
@@ -206,22 +206,22 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
         wrong = "" if password is None else ", and this is not its password"
         options = "--password-file FILE, or page:FILE?password_file=FILE"
         raise LockedError(f"{path} is locked{wrong}: give {options}") from None
-    # Needed to render filled-in fields, before any page is opened.
+    # Initialize forms before any page is opened, to render filled-in fields.
     if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
         pdf.init_forms()
     return pdf
 
 
-_STAMP = 100  # characters of a turned stamp, at most
-_LEVEL = 10.0  # angle in degrees from which text is aslant
-_FINE = 1000.0  # parts of a point in which PDFium gives places
+_STAMP = 100  # largest number of characters of a rotated stamp
+_LEVEL = 10.0  # angle, degrees, above which text is slanted
+_FINE = 1000.0  # PDFium's places are in 1/1000 point
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
 _SPACES = _NONE, _MOVED, _MADE, _TYPED = ("", "\n", "\t", " ")
-"""What precedes a character: nothing, a new line, a gap, or a space of the file."""
+"""Values of `Segment.space`: nothing, a new line, a gap, or a space in the file."""
 
 
 def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
-    """Yield the characters on the visible page in the file's order."""
+    """Yield the characters on the visible page, in the order of the file."""
     import pypdfium2.raw as pdfium
 
     width, height = sheet.get_size()
@@ -258,16 +258,16 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
                 space = _NONE
 
 
-_ABOVE, _AROUND = 0.95, 0.3  # what of the picture belongs to text, in sizes of the letters
-_FAINT = 12  # levels of contrast below which print is not seen
-_MOST_UNKNOWN = 0.05  # part of a text's characters that mean nothing
-_MOSTLY = 0.5  # print that the text lacks, relative to it, from which the picture is recognized
+_ABOVE, _AROUND = 0.95, 0.3  # area that belongs to a letter, in letter sizes
+_FAINT = 12  # contrast, levels, below which print is invisible
+_MOST_UNKNOWN = 0.05  # largest share of undefined characters in a text
+_MOSTLY = 0.5  # largest ratio of print without text to print with text
 _ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
 _BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # codes of symbol fonts
 
 
 def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
-    """Return a rendered page with its text, if that has most of its print."""
+    """Return a rendered page with its text, if the text covers most of its print."""
     seen, rest = _erased(page, signs, point_mm)
     turned = [sign for sign in seen if sign.turn_deg != 0]
     letters = [unicodedata.bidirectional(sign.text[0]) for sign in seen]
@@ -299,15 +299,16 @@ def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
 
 
 _SMALLER, _SHIFTED, _NEAR = 0.95, (0.1, 0.8), 0.55
-"""Size of super- and subscripts, distance from the baseline, and from their word."""
-_INITIAL = 1.8  # size of a letter over several lines
-_TOUCHING, _FARTHEST = 0.3, 2.5  # gaps that are no space after a moved pen, nor by a file's space
-_SPACED, _WIDER = 0.8, 1.5  # gap of spaced letters, and ratio to it of the gap between their words
-_EVEN, _EACH = 0.25, 0.4  # difference of the spaces of justified prose, and width for each of them
+"""Size of super- and subscripts, distance from the baseline, and distance from their word."""
+_INITIAL = 1.8  # size of drop caps
+_TOUCHING, _FARTHEST = 0.3, 2.5  # gaps that are never, and always, a space
+_SPACED, _WIDER = 0.8, 1.5  # gap of letter-spaced text, and relative gap between its words
+_EVEN, _EACH = 0.25, 0.4  # variation of spaces in justified text, and width per space
 
 
 def _segments(signs: list[Segment]) -> list[Segment]:
-    """Return level text as segments, with ``^`` and ``_`` before super- and subscripts."""
+    """Join characters of horizontal text to segments, with ``^`` and ``_`` before super- and
+    subscripts."""
     segments: list[Segment] = []
     for line in split(
         signs, lambda last, sign: abs(sign.y - last.y) > _SHIFTED[1] * max(sign.size, last.size)
@@ -320,8 +321,8 @@ def _segments(signs: list[Segment]) -> list[Segment]:
 
 
 def _spacing(line: list[Segment]) -> tuple[float, float]:
-    """Return the gap of spaced letters, and the widest gap that is a space of justified prose, in
-    their sizes; 0 if a line is neither."""
+    """Return the gap of letter-spaced text and the widest space of justified text, in letter sizes;
+    0 if a line is neither."""
     gaps = [sign.gap(last) for last, sign in itertools.pairwise(line)]
     spaces = [gap for gap, sign in zip(gaps, line[1:], strict=True) if sign.space == _MADE]
     words = "".join(sign.space + sign.text for sign in line).split()
@@ -336,7 +337,7 @@ def _spacing(line: list[Segment]) -> tuple[float, float]:
 def _is_joined(
     segment: Segment, last: Segment, sign: Segment, tracking: float, widest: float
 ) -> bool:
-    """Add a character to the segment of the one before it; return whether it belongs there."""
+    """Append a character to the last segment if it belongs there; return whether it does."""
     gap = sign.gap(last)
     raised = (segment.y - sign.y) / max(segment.size, sign.size)
     is_space = sign.space == _TYPED or (
@@ -360,7 +361,7 @@ def _is_joined(
     return True
 
 
-_ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # of most fonts; all in sizes of the letters
+_ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # of most fonts, in letter sizes
 
 
 def _text_line(line: Line, point_mm: float) -> TextLine:
@@ -378,7 +379,7 @@ def _text_line(line: Line, point_mm: float) -> TextLine:
 
 
 def _erased(page: Page, signs: list[Segment], point_mm: float) -> tuple[list[Segment], Page]:
-    """Return the characters that are seen, and a page without any."""
+    """Return the visible characters, and the page without them."""
     scale, seen, grey = point_mm / page.mm_per_pixel, [], page.grey.copy()
     for sign in signs:
         above, around = _ABOVE * sign.size, _AROUND * sign.size
@@ -393,11 +394,11 @@ def _erased(page: Page, signs: list[Segment], point_mm: float) -> tuple[list[Seg
 
 
 _COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 4
-"""Pixels, heights, contrast and number of the spots that may be print beside the text."""
+"""Limits of spots that may be print without text: pixels, height, contrast and number."""
 
 
 def _print_on(page: Page) -> list[TextLine]:
-    """Return the lines of print on a page without its text."""
+    """Return the lines of print that remain on a page without its text."""
     step = page.mm_per_pixel / _COARSE_MM
     coarse = cv2.resize(page.grey, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
     ink = np.abs(coarse - np.median(coarse)) > _CONTRAST
@@ -405,6 +406,6 @@ def _print_on(page: Page) -> list[TextLine]:
     low, high = (height / _COARSE_MM for height in _LETTERS_MM)
     if np.count_nonzero((heights >= low) & (heights <= high)) < _FEWEST_SPOTS:
         return []
-    # A scan may lie on its side.
+    # A scan may be rotated.
     turned = Page(np.ascontiguousarray(np.rot90(page.grey)), page.mm_per_pixel)
     return find_lines(page, None) or find_lines(turned, None)

@@ -1,4 +1,4 @@
-"""Grey levels of 8 bits from any image of a file, a camera or a program."""
+"""Conversion of images from files, cameras and programs to 8-bit gray levels."""
 
 import struct
 import warnings
@@ -21,26 +21,26 @@ MOST_PIXELS = 100_000_000  # of a page
 LUMA = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue, ITU-R BT.601."""
 _MIXES = np.vstack([LUMA, np.eye(3)[[1, 0, 2]], (1 - np.eye(3)) / 2])
-"""Weights that may show colored print, luma first: paper stays white."""
-_KEPT = 1.05  # advantage of the present weights
+"""Weights that may show colored print, luma first; white stays white."""
+_KEPT = 1.05  # factor by which other weights must be better
 _EDGE_LEVELS, _EDGE_PIXELS, _FEWEST_EDGES = 40, 3, 50
-"""Difference of a channel, and distance, of two pixels at an edge, and the edges that count."""
+"""Smallest difference in a channel, distance of the two pixels, and number of edges considered."""
 _SAMPLED_ROWS = 400
-_BRIGHTEST = 0.999  # quantile of floating-point levels that is white: highlights may be above
-_CONTRAST = 64  # levels between the darkest and the brightest of a picture that carries print
-_THICK = 8  # strokes are thinner than the image's shorter side divided by this
+_BRIGHTEST = 0.999  # quantile of floating-point levels that is white, below highlights
+_CONTRAST = 64  # range of levels of a picture that contains print
+_THICK = 8  # strokes are thinner than the shorter side divided by this
 _WHITE_IS_ZERO = 262, 0  # photometric interpretation of a TIFF
 _SUBFILE, _NO_PAGE = 254, 1 | 4  # tag of a TIFF; bits of reduced images and masks
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
-"""Exceptions that Pillow raises on damaged files."""
+"""Exceptions of Pillow for damaged files."""
 
 
 class GreyConverter:
-    """Converts the images of one source to grey levels.
+    """Converts the images of one source to gray levels.
 
-    What images do not state is decided by the first one that needs it, and kept for the next:
-    the level of white, the ground below transparent images, and the weights of the colors. White
-    and the weights change only where a later image requires it.
+    Images may not state the level of white, the background of transparency and the weights of
+    colors. These are chosen for the first image that needs them, and kept for later ones. White and
+    weights change only if a later image requires it.
     """
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class GreyConverter:
         self._mix = 0
 
     def convert(self, pixels: Pixels) -> NDArray[np.uint8]:
-        """Return an image in grey, (H, W) uint8.
+        """Convert an image to gray levels, (H, W) uint8.
 
         Parameters
         ----------
@@ -73,26 +73,26 @@ class GreyConverter:
             self._choose_ground(colors, alpha)
         if self._alpha_is_ink:
             return np.asarray(255 - alpha, np.uint8)
-        # Colors that nobody sees do not count.
+        # Ignore invisible colors.
         ground = self._ground or 0
         grey = self._mixed(np.where(alpha[:, :, None] > 0, colors, np.uint8(ground)))
         laid = ground + (grey.astype(np.float32) - ground) * (alpha / np.float32(255))
         return np.asarray(np.rint(laid), np.uint8)
 
     def _choose_ground(self, colors: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> None:
-        """Choose a ground on which the print of a transparent image is seen."""
+        """Choose a background on which the print of a transparent image is visible."""
         visible = alpha >= max(1, int(alpha.max()) // 2)
         deepest = cv2.distanceTransform(np.pad(visible, 1).astype(np.uint8), cv2.DIST_C, 3).max()
-        # Thin print may be of any color, also black and white at once: its alpha is its ink.
+        # Thin print may have several colors, even black and white: use its alpha as ink.
         self._alpha_is_ink = bool(0 < 2 * deepest <= max(3, min(alpha.shape) // _THICK))
         low, middle, high = np.percentile(colors[visible], (0.5, 50, 99.5)) if visible.any() else (
             0, 255, 255
         )  # fmt: skip
-        # A picture with print goes on around itself; an even one is print, or print cut out.
+        # A picture with print continues around itself; a uniform one is print, or cut-out print.
         self._ground = 255 if (middle >= 128) == (high - low >= _CONTRAST) else 0
 
     def _mixed(self, colors: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return colors as grey; where luma shows no print, by weights that do."""
+        """Convert colors to gray, by luma or by weights that show the print better."""
         if colors.shape[2] == 1:
             return colors[:, :, 0]
         colors = np.ascontiguousarray(colors)
@@ -103,15 +103,15 @@ class GreyConverter:
 
 
 def to_grey(pixels: Pixels) -> NDArray[np.uint8]:
-    """Return one image in grey, (H, W) uint8; see `GreyConverter.convert`."""
+    """Convert one image to gray levels, (H, W) uint8, see `GreyConverter.convert`."""
     return GreyConverter().convert(pixels)
 
 
 def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
-    """Return the index of the weights by which most edges of a colored image are seen.
+    """Return the index of the weights that show most edges of a colored image.
 
-    An edge counts in full with half the contrast that it has in its best channel. The present
-    weights stay if they show nearly as much as the best.
+    An edge counts fully at half of its contrast in the best channel. The present weights stay if
+    they are nearly as good as the best.
     """
     far, step = _EDGE_PIXELS, 1 + len(colors) // _SAMPLED_ROWS
     # Diagonal differences show edges in both directions.
@@ -128,9 +128,10 @@ def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
 
 
 def _white_level(values: Pixels, black: float = 0.0) -> float:
-    """Return the white of images that do not state it: the fewest bits that hold their levels.
+    """Return the level of white of images that do not state it: the largest value of the fewest
+    bits that hold their levels.
 
-    Integers have at least 8 bits, unless they are 0 and 1 alone.
+    Integers have at least 8 bits, unless they are only 0 and 1.
     """
     if values.dtype.kind == "f":
         some = values.ravel()[:: max(1, values.size // 1_000_000)].astype(np.float64)
@@ -141,7 +142,7 @@ def _white_level(values: Pixels, black: float = 0.0) -> float:
 
 
 def _scaled(values: Pixels, black: float, white: float) -> NDArray[np.uint8]:
-    # The span of numbers in single precision is beyond single precision.
+    # The difference of float32 numbers may overflow float32.
     kind: Any = np.float64 if values.dtype.kind == "f" else np.float32
     levels = (values.astype(kind) - kind(black)) * kind(255 / white)
     return np.asarray(np.clip(np.rint(levels, out=levels), 0, 255), np.uint8)
@@ -149,12 +150,13 @@ def _scaled(values: Pixels, black: float, white: float) -> NDArray[np.uint8]:
 
 @contextmanager
 def open_image(path: Path) -> Iterator[Image.Image]:
-    """Open an image file; any exception of Pillow, here or inside, becomes a PageError."""
+    """Open an image file; exceptions of Pillow, also within the block, become PageErrors."""
     try:
         with warnings.catch_warnings():
-            # Sizes are checked later; damage is raised, or does no harm.
+            # Sizes are checked later; damage raises errors or is harmless.
             warnings.filterwarnings("ignore", module=r"PIL\.")
-            # Opened here: Pillow 13 maps a path to memory, and reads rotated TIFFs wrongly.
+            # Open the file here: with a path, Pillow 13 maps it to memory and reads rotated TIFFs
+            # wrongly.
             with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file, Image.open(file) as image:
                 yield image
     except Image.DecompressionBombError:
@@ -168,8 +170,8 @@ def open_image(path: Path) -> Iterator[Image.Image]:
 
 
 def page_frames(image: Image.Image) -> list[int]:
-    """Return the frames of an open image that are pages: of a TIFF, no thumbnails nor masks; of an
-    animation, the first."""
+    """Return the frames of an open image that are pages: for a TIFF without thumbnails and masks;
+    for an animation the first."""
     frames = range(getattr(image, "n_frames", 1) if image.format == "TIFF" else 1)
     pages = []
     for frame in frames:
@@ -180,7 +182,8 @@ def page_frames(image: Image.Image) -> list[int]:
 
 
 def read_pixels(image: Image.Image) -> Pixels:
-    """Return an open image upright, at its full depth: grey (H, W), with alpha, RGB or RGBA."""
+    """Return the pixels of an open image, upright and at full depth: gray (H, W), gray with alpha,
+    RGB or RGBA."""
     if any(";16" in str(tile) for tile in getattr(image, "tile", ())) and image.mode[0] not in "IF":
         return _deep_color(image)
     upright = ImageOps.exif_transpose(image)
@@ -188,7 +191,7 @@ def read_pixels(image: Image.Image) -> Pixels:
         values = np.asarray(upright)
         tag, zero = _WHITE_IS_ZERO
         if getattr(image, "tag_v2", {}).get(tag) == zero:
-            # Pillow inverts such images of 8 bits only.
+            # Pillow inverts such images only with 8 bits.
             values = np.asarray(_white_level(values)).astype(values.dtype) - values
         hidden = image.info.get("transparency")
         return np.dstack([values, values != hidden]) if isinstance(hidden, int) else values
@@ -197,7 +200,7 @@ def read_pixels(image: Image.Image) -> Pixels:
 
 
 def _deep_color(image: Image.Image) -> Pixels:
-    """Return an image of 16 bits in color by OpenCV: Pillow reads their upper bytes only."""
+    """Read a color image of 16 bits by OpenCV, as Pillow reads only the upper bytes."""
     file: Any = getattr(image, "fp", None)
     file.seek(0)
     data, page = np.frombuffer(file.read(), np.uint8), image.tell()
@@ -205,7 +208,7 @@ def _deep_color(image: Image.Image) -> Pixels:
     if not is_read:
         raise ValueError("its pixels are damaged")
     pixels = np.asarray(pages[0])[..., [2, 1, 0, 3][: pages[0].shape[2]]]
-    # OpenCV turns a TIFF itself.
+    # OpenCV rotates TIFFs itself.
     turn = 1 if image.format == "TIFF" else image.getexif().get(ExifTags.Base.Orientation, 1)
     pixels = pixels.swapaxes(0, 1) if turn > 4 else pixels
     return pixels[:: -1 if turn in (3, 4, 7, 8) else 1, :: -1 if turn in (2, 3, 6, 7) else 1]

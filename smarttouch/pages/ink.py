@@ -1,4 +1,4 @@
-"""Separation of ink from paper, in any light and of either polarity."""
+"""Separation of ink from paper, for uneven light and both polarities."""
 
 import functools
 import math
@@ -11,33 +11,39 @@ from numpy.typing import NDArray
 
 Grey = NDArray[np.uint8]
 
-_WINDOW_PX = 41  # wider than any stroke of text, so that a closing by it leaves only paper
-_PAPER = 210.0  # level of paper after the division by it, with headroom for its grain
-_CONTRAST, _PALE = 0.12, 0.2  # least contrast of ink and of pale print, relative to paper
-_GRAINS, _FEWEST = 6.0, 2e-4  # the same in grains of paper; least part of a page that has it
-_CALM, _GRAINY = 5.0, 9.0  # grain up to which, and from which no more, thresholds follow the ink
+_WINDOW_PX = 41  # wider than strokes of text, so that a morphological closing leaves only paper
+_PAPER = 210.0  # level of normalized paper, with headroom for grain
+_CONTRAST, _PALE = 0.12, 0.2  # smallest contrast of ink and of pale print, relative to paper
+_GRAINS, _FEWEST = (
+    6.0,
+    2e-4,
+)  # smallest contrast relative to grain; smallest share of the page with it
+_CALM, _GRAINY = (
+    5.0,
+    9.0,
+)  # grain up to which thresholds follow the ink, and above which they do not
 
 
 @dataclass(frozen=True, eq=False)
 class Paper:
-    """Page as dark on light, with the mask of its ink."""
+    """Page as dark on light, with a mask of its ink."""
 
     ink: NDArray[np.bool_]  # (H, W); empty on blank paper
     light_on_dark: bool
     clean: Callable[[], Grey]
-    faint: bool = False  # whether faint marks were left out, as if from the back of the sheet
+    faint: bool = False  # whether faint marks, as from the back of the sheet, were left out
 
     @functools.cached_property
     def cleaned(self) -> Grey:
-        """Page, (H, W): paper exactly 255, ink near 0; computed on first use."""
+        """Page, (H, W), with paper exactly 255 and ink near 0; computed on first use."""
         return self.clean()
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
-    """Separate ink from paper in an image, (H, W) uint8, detecting its polarity if not given.
+    """Separate ink from paper in an image, (H, W) uint8; detect the polarity by default.
 
-    The threshold lies near the middle of paper and ink, and follows the ink around on paper with
-    little grain. Only on digital paper, without any grain, is pale print beside black always ink.
+    The threshold is near the middle of paper and ink. On paper with little grain it follows local
+    ink. Pale print beside black counts as ink only on digital pages without grain.
     """
     light_on_dark = is_light_on_dark(grey) if light_on_dark is None else light_on_dark
     grey = ~grey if light_on_dark else grey
@@ -47,26 +53,26 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
         small = np.asarray(cv2.resize(even, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
         factor *= 2
     paper = _find_paper(small, min(_WINDOW_PX / factor, math.sqrt(small.size) / 12))
-    # Single pixels, not averages: they have the grain of the page.
+    # Sample single pixels: averages would hide the grain.
     flat = cv2.resize(grey, paper.shape[::-1], interpolation=cv2.INTER_NEAREST)
     flat = np.where(paper > 0, cv2.divide(flat, paper, scale=_PAPER), np.uint8(255))
     pixels, level = np.append(flat[paper > 0], np.uint8(_PAPER)), np.arange(256)
     counts = np.bincount(pixels, minlength=256)
     bright = np.where(level > 0.7 * _PAPER, counts, 0).cumsum()
     low, middle, high = np.interp(np.array([1, 2, 3]) / 4 * bright[-1], bright, level + 0.5)
-    grain = max((high - low) / 1.349, 1.0)  # from the quartiles of a normal distribution
+    grain = max((high - low) / 1.349, 1.0)  # standard deviation from the quartiles
     sure, pale = (middle - max(part * middle, _GRAINS * grain) for part in (_CONTRAST, _PALE))
     otsu, _ = cv2.threshold(pixels, 0, 255, cv2.THRESH_OTSU)
     first = int(min(otsu if grain > 1 else max(otsu, pale), middle - 4 * grain))
     mean = counts[: first + 1] @ level[: first + 1] / max(counts[: first + 1].sum(), 1)
-    # Even few pixels count where their contrast is higher still.
+    # Few pixels are sufficient if their contrast is high.
     enough = counts[level < sure].sum() >= _FEWEST * flat.size
     enough |= counts[level < 1.4 * sure - 0.4 * middle].sum() >= 4
     if not enough or middle - mean < 0.85 * (middle - sure):
         blank = np.zeros_like(grey)
         return Paper(blank > 0, light_on_dark, lambda: ~blank)
     window = (round(20 / factor) | 1,) * 2
-    # Means around, weighted by depth: the pale edges of strokes change these little.
+    # local means weighted by depth, in which pale edges of strokes have little weight
     depth = np.where(flat <= first, np.float32(middle) - flat, np.float32(0))
     typical = np.vdot(depth, depth) / depth.sum()
     around = cv2.blur(depth * depth, window) + 0.02 * typical**2
@@ -90,28 +96,30 @@ def _cleaned(grey: Grey, white: Grey, gain: NDArray[np.float32]) -> Grey:
 
 
 def _find_paper(small: Grey, side: float) -> Grey:
-    """Return the level that the paper would have without ink, (h, w); 0 where paper is missing."""
+    """Estimate the level of the paper without ink, (h, w); 0 without paper."""
     near = _closed(small, side)
     far = cv2.resize(_closed(near[::4, ::4], 5 * side / 4), near.shape[::-1])
-    # Dark areas wider than a window are a headline, unless they reach the edge.
+    # Dark areas wider than the window are headlines, unless they reach the edge.
     _, labels = cv2.connectedComponents((near < 0.4 * far).view(np.uint8))
     edge = np.unique(np.hstack([[0], labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     paper = np.where(np.isin(labels, edge), near, far) if labels.any() else near
-    # At the edge of a sheet or a shadow the darker side counts.
+    # At the edge of a sheet or a shadow use the darker side.
     paper = cv2.erode(paper, np.ones((5, 5), np.uint8))
     least = max(40, np.percentile(paper[::2, ::2], 95) / 4)
     return np.where(paper < least, np.uint8(0), paper)
 
 
 def _closed(image: Grey, side_px: float) -> Grey:
-    """Return an image without dark spots narrower than a window."""
+    """Remove dark spots narrower than a window."""
     square = np.ones((max(3, round(side_px)) | 1,) * 2, np.uint8)
-    calm = cv2.blur(image, (3, 3))  # otherwise the brightest grains count
+    calm = cv2.blur(
+        image, (3, 3)
+    )  # average first, or the brightest grains would determine the result
     return np.asarray(cv2.blur(cv2.erode(cv2.dilate(calm, square), square), (3, 3)), np.uint8)
 
 
 def is_light_on_dark(grey: Grey) -> bool:
-    """Return whether a page is printed light on dark: its skewness is above that of pictures."""
+    """Return whether a page is printed light on dark, by the skewness of its levels."""
     step = max(1, round(math.sqrt(grey.size / 6000)))
     small = grey[::step, ::step].astype(np.float32)
     window = (max(3, round(math.sqrt(small.size) / 16)) | 1,) * 2

@@ -1,5 +1,5 @@
-"""Rows of letters: connected components of ink, linked from left to right but not across columns,
-and measured: baseline through skew and curvature, height of an x, whether they are text."""
+"""Rows of letters: connected components of ink, linked from left to right within columns; and their
+measures: baseline with skew and curvature, x-height, and whether they are text."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,30 +15,34 @@ Floats = NDArray[np.float64]
 Ink = NDArray[np.bool_]
 Indices = NDArray[np.int_]
 
-_LEAST_SIDE = 3  # least height of a letter
-_LARGEST_PART = 0.25  # part of the page's shorter side above which a component is no letter
-_DOT = 0.7  # filled part of its box above which a component is a dot
+_LEAST_SIDE = 3  # smallest height of a letter
+_LARGEST_PART = (
+    0.25  # size above which a component is not a letter, relative to the page's shorter side
+)
+_DOT = 0.7  # filled share of the box above which a component is a dot
 _RULE = 12.0  # ratio of length to thickness above which a component is a rule
-_LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the usual one
-_COMMA = (0.8, 0.5)  # largest height and width of a comma or a quote, in usual heights
+_LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the typical one
+_COMMA = (0.8, 0.5)  # largest height and width of a comma or quote, in typical heights
 _LONGEST = 40.0  # largest ratio of length to height of a word with touching letters
 _UNDERLINE, _THIN, _HANGING = 3.0, 0.3, 0.2
-"""Least length and most thickness of an underline, in letter heights; most ink right below it."""
+"""Smallest length and largest thickness of an underline, in letter heights; largest share of ink
+below it."""
 _TWO_LINES, _TWO_HIGH, _LEAST_LINE = 1.7, 4.0, 0.6
-"""Height of a component that may span two lines, also if narrow, and of a line, in heights."""
-_VALLEY = 0.3  # ink between two lines that touch, relative to that in either
-_FILLED = 0.15  # least filled part of the box of a picture
+"""Heights, in letter heights, of a component that may span two lines, of a narrow one, and of a
+line."""
+_VALLEY = 0.3  # ink between two touching lines, relative to the ink in each
+_FILLED = 0.15  # smallest filled share of the box of a picture
 
 
 def weighted_median(values: Indices | Floats, weight: Floats) -> float:
-    """Return the value, of (N,), with half of the weight below it."""
+    """Return the weighted median of values, (N,)."""
     order = np.argsort(values)
     total = np.cumsum(weight[order])
     return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
 class Components(NamedTuple):
-    """Boxes of connected components, (N,) px; right and bottom are the first outside."""
+    """Boxes of connected components, (N,) px; right and bottom are exclusive."""
 
     left: Indices
     top: Indices
@@ -58,12 +62,12 @@ class Components(NamedTuple):
 
     @property
     def usual_height(self) -> float:
-        """Median height, px, weighted by size so that dots count little."""
+        """Median height, px, weighted by size."""
         return weighted_median(self.height, np.sqrt(self.area))
 
     @property
     def length(self) -> float:
-        """Length of a row of them, in usual heights."""
+        """Length of the row of components, in typical heights."""
         return float(self.right.max() - self.left.min()) / self.usual_height
 
     def of(self, chosen: NDArray[np.bool_] | Indices) -> "Components":
@@ -72,8 +76,8 @@ class Components(NamedTuple):
 
 
 def find_components(ink: Ink) -> tuple[Components, NDArray[np.int32]]:
-    """Return all components of an image of ink, (H, W), and their labels, from 1, (H, W)."""
-    # The default algorithm takes more than twice as long.
+    """Return the components of a mask of ink, (H, W), and their labels, (H, W), from 1."""
+    # The default algorithm is less than half as fast.
     _, labels, boxes, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
         ink.view(np.uint8), 8, cv2.CV_32S, cv2.CCL_GRANA
     )
@@ -83,17 +87,17 @@ def find_components(ink: Ink) -> tuple[Components, NDArray[np.int32]]:
 
 
 def usual_height(components: Components, shape: tuple[int, int]) -> float | None:
-    """Return the usual height of letters, px; None if no component may be one."""
+    """Return the typical height of letters, px; None without letters."""
     height, width = components.height, components.width
     is_letter = (height >= _LEAST_SIDE) & (height < _LARGEST_PART * min(shape))
     is_letter &= (width < _RULE * height) & (height < _RULE * width)
-    # The dots of leaders may be more than the letters.
+    # Leader dots may outnumber letters.
     is_letter &= (components.area < _DOT * width * height) | (height > 2 * width)
     return components.of(is_letter).usual_height if is_letter.any() else None
 
 
 def like_letters(components: Components, height: float) -> NDArray[np.bool_]:
-    """Return for each component, (N,), whether it may be a letter, or several that touch."""
+    """Return for each component, (N,), whether it may be a letter or several touching ones."""
     tall, wide = components.height, components.width
     right_size = (tall >= _LETTER[0] * height) & (tall <= _LETTER[1] * height)
     right_size &= (tall > _COMMA[0] * height) | (wide > _COMMA[1] * height)
@@ -108,7 +112,7 @@ def are_pictures(components: Components, height: float) -> NDArray[np.bool_]:
 
 
 def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
-    """Return the ink of horizontal rules and underlines, and of vertical rules, (H, W) each."""
+    """Return masks, (H, W), of horizontal rules and underlines, and of vertical rules."""
     page = ink.view(np.uint8)
     thick, long = max(3, round(_THIN * height)), round(_RULE * height)
     run = np.ones((1, round(_UNDERLINE * height)), np.uint8)
@@ -117,11 +121,11 @@ def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
     is_rule = runs.width > long
     for k in np.flatnonzero(~is_rule & (runs.height <= thick)):
         across, bottom = slice(runs.left[k], runs.right[k]), runs.bottom[k]
-        # Letters hang from the line above them in some scripts.
+        # In some scripts letters hang from a line above.
         below = ink[bottom + 1 : bottom + 1 + thick, across]
         is_rule[k] = below.size and below.mean() < _HANGING
     rules = np.append(False, is_rule)[labels]
-    # A slightly tilted rule steps sideways by a pixel.
+    # A slightly tilted rule has steps of one pixel.
     wide = cv2.dilate(page, np.ones((1, 3), np.uint8))
     upright = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((long, 1), np.uint8))
     upright = np.asarray(cv2.min(upright, page), np.uint8)
@@ -130,7 +134,7 @@ def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
 
 
 def part_lines(ink: Ink, components: Components, height: float) -> Ink:
-    """Return the ink, (H, W), cut where letters of one line touch those of the next."""
+    """Return the ink, (H, W), cut where letters of successive lines touch."""
     wide, tall = components.width, components.height
     may_be_two = (tall > _TWO_LINES * height) & (tall < _LETTER[1] * height)
     may_be_two &= (wide >= tall) | ((2 * wide >= tall) & (tall < _TWO_HIGH * height))
@@ -150,24 +154,25 @@ def part_lines(ink: Ink, components: Components, height: float) -> Ink:
     return parted
 
 
-_NEIGHBORS = 10  # candidates for the next letter, near the right edge of a letter
-_WIDEST_GAP = 3.8  # in heights of the taller letter: a dash or = between two spaces
-_LEAST_OVERLAP = 0.45  # of two letters of a row, as a part of the lower one's height
-_LARGEST_RATIO = 2.8  # of heights in a row: a parenthesis has 2.5 times the height of an x
-_LEAST_SPACE = 0.35  # narrowest space, in letter heights; a narrower gap is within a word
-_LANE_PX = 3.0  # letter height at which lanes are looked for
+_NEIGHBORS = 10  # number of candidates for the next letter
+_WIDEST_GAP = 3.8  # in heights of the taller letter: a dash between two spaces
+_LEAST_OVERLAP = 0.45  # smallest vertical overlap of letters of a row, relative to the lower one
+_LARGEST_RATIO = 2.8  # largest ratio of heights in a row; a parenthesis has 2.5 x-heights
+_LEAST_SPACE = 0.35  # narrowest space between words, in letter heights
+_LANE_PX = 3.0  # letter height, px, at which lanes are searched
 _NARROWEST, _LANES = 0.75, ((1.25, 15.0), (1.9, 8.0))
-"""Least width of the white between columns, in letter heights, and in usual spaces if it is so
-many letter heights long."""
+"""Smallest width of the lane between columns, in letter heights, and in typical spaces for lanes of
+a given length."""
 _LANE_REACH, _SHORT_LINES = 16.0, 6.5
-"""Farthest print on both sides of a lane, and height of short lines among it, in letter heights."""
+"""Largest distance between a lane and the print on both sides, and largest height of gaps in that
+print, in letter heights."""
 
 
 def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[Components]:
     """Return the letters of each row, from left to right.
 
-    Rows end at ``walls``, (H, W), which are vertical rules and pictures, and at white lanes in
-    ``ink``, (H, W), between columns.
+    Rows end at ``walls``, (H, W), a mask of vertical rules and pictures, and at lanes between
+    columns in ``ink``, (H, W).
     """
     if not len(letters.area):
         return []
@@ -211,12 +216,12 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
 
 
 def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
-    """Return links from letters to the next ones on their right, the cheapest first: (L,) indices
-    of both, and the white between, px."""
+    """Return links from letters to the next ones on the right, cheapest first: (L,) indices of
+    both, and gaps, px."""
     from scipy.spatial import cKDTree
 
     height, middle = letters.height, (letters.top + letters.bottom) / 2
-    # Vertical distance counts twice.
+    # Weight vertical distance twice.
     tree = cKDTree(np.column_stack([letters.left, 2 * middle]))
     reach = 2 * _WIDEST_GAP * float(height.max())
     ends = np.column_stack([letters.right, 2 * middle])
@@ -230,7 +235,7 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     beside = np.minimum(one.bottom, other.bottom) - np.maximum(one.top, other.top)
     is_link = (gap <= _WIDEST_GAP * taller) & (other.left + other.right > one.left + one.right)
     is_link &= (beside >= _LEAST_OVERLAP * lower) & (taller <= _LARGEST_RATIO * lower)
-    # A pixel of vertical offset costs as much as a pixel of gap.
+    # Vertical offset and gap have equal cost per pixel.
     cost = np.where(is_link, np.maximum(gap, 0) + lower - beside, np.inf)
     links, begun, ended = [], set(), set()
     for k in np.argsort(cost, kind="stable")[: np.count_nonzero(is_link)]:
@@ -242,12 +247,16 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     return first[links], second[links], gap[links]
 
 
-_WORD, _PIECE = 1.3, 0.6  # width above which a component is several letters, and of a piece of it
-_DEGREES = (8.0, 20.0, 40.0)  # least lengths of lines with a slope, a bend and a second bend
-_DESCENDING = 2.5  # weight of a distance below a baseline
-_ROUNDS = 5  # rounds of weights against outliers
-_X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # heights of an x that are tried, in letter heights
-_NEAR = (0.1, 0.5)  # distance within which letters are equally high: in x-heights, plus pixels
+_WORD, _PIECE = 1.3, 0.6  # width above which a component is several letters; width of a piece of it
+_DEGREES = (
+    8.0,
+    20.0,
+    40.0,
+)  # smallest lengths of lines fitted with a slope, a bend and a second bend
+_DESCENDING = 2.5  # weight of deviations below a baseline
+_ROUNDS = 5  # iterations of the robust fit
+_X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # tried x-heights, in letter heights
+_NEAR = (0.1, 0.5)  # tolerance of equal heights: in x-heights, plus pixels
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of the reach of ascenders and of descenders from the baseline, in x-heights."""
 _UNDECIDED = 0.2  # part of the letters that end above a baseline that may be too low
@@ -262,19 +271,19 @@ square, if it is as wide as high."""
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Measured row of letters, px."""
+    """Row of letters with its measures, px."""
 
     letters: Components
     left: float
     right: float
-    curve: Floats  # (D,) coefficients of y, lowest first, over the distance from left
+    curve: Floats  # (D,) coefficients of y as a polynomial of the distance from left, lowest first
     x_height: float
-    rise: Floats  # (P,) of the letters, or pieces of words, above the baseline
-    fall: Floats  # (P,) of the same below it
-    strokes: float  # met halfway up an x, per x-height of the row's length
+    rise: Floats  # (P,) heights of letters or pieces above the baseline
+    fall: Floats  # (P,) depths below the baseline
+    strokes: float  # strokes crossed at half x-height, per x-height of length
 
     def at(self, x: NDArray[np.float64]) -> Floats:
-        """Return the baseline's y at x; straight beyond the row's ends."""
+        """Return y of the baseline at x, extrapolated linearly."""
         return curve_at(self.curve, x - self.left, self.right - self.left)
 
     @property
@@ -284,9 +293,9 @@ class Baseline:
 
     @property
     def is_text(self) -> bool:
-        """Whether it has the strokes of letters, most of which begin and end at usual heights."""
+        """Whether the row has strokes like letters, most of them at typical heights."""
         letters = self.letters
-        # Dashes and wide spaces have little ink.
+        # Rows with dashes and wide spaces have little ink.
         covered = min(1.0, float(letters.width.sum()) / (self.right - self.left))
         touching = float(np.median(letters.width)) > _TOUCHING * self.x_height
         least = _TOUCHING_ON_LEVELS if touching else _ON_LEVELS
@@ -299,7 +308,7 @@ class Baseline:
 
     @property
     def on_levels(self) -> float:
-        """Part of the letters, or pieces of words, that begin and end at usual heights."""
+        """Share of the letters or pieces that begin and end at typical heights."""
         near = _NEAR[0] * self.x_height + _NEAR[1]
         deep = (self.fall > _DEEP[0] * self.x_height) & (self.fall < _DEEP[1] * self.x_height)
         low = (np.abs(self.fall) < near) | deep
@@ -309,8 +318,9 @@ class Baseline:
 def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     """Measure a row of letters in ``ink``, (H, W).
 
-    A smooth curve goes through the lower ends of most letters. Most of them are as high as an x, or
-    as an ascender. ``slope`` is that of the lines around, for a row too short to measure its own.
+    The baseline is a smooth curve through the lower ends of most letters. Most letters have
+    x-height or the height of ascenders. ``slope`` is the slope of surrounding lines, for short
+    rows.
     """
     left = float(letters.left.min())
     x, top, bottom = _pieces(ink, letters, letters.usual_height)
@@ -320,7 +330,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     row = _on_curve(ink, letters, curve, x, top, bottom)
     above = row.fall < -_NEAR[0] * row.x_height - _NEAR[1]
     if above.mean() > _UNDECIDED:
-        # Where most letters descend, the others stand on the line.
+        # If most letters descend, the others determine the baseline.
         curve = np.append(curve[0] + np.median(row.fall[above]), curve[1:])
         higher = _on_curve(ink, letters, curve, x, top, bottom)
         row = max(row, higher, key=lambda candidate: candidate.on_levels)
@@ -330,7 +340,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
 def _on_curve(
     ink: Ink, letters: Components, curve: Floats, x: Floats, top: Floats, bottom: Floats
 ) -> Baseline:
-    """Return a row with such a baseline; its pieces have such middles, tops and bottoms, (P,)."""
+    """Return a row with this baseline; middles, tops and bottoms of its pieces are (P,)."""
     left, right, height = letters.left.min(), letters.right.max(), letters.usual_height
     base = polynomial.polyval(x - left, curve)
     rise = base - top
@@ -349,13 +359,14 @@ def _on_curve(
 
 
 def _on_levels(rise: Floats, x_height: Floats | float) -> NDArray[np.bool_]:
-    """Return which letters are as high as an x, and which as an ascender or capital, (2, …, N)."""
+    """Return which letters have x-height, and which the height of ascenders, (2, …, N)."""
     near = np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]
     return np.array([near, ~near & (rise > _TALL[0] * x_height) & (rise < _TALL[1] * x_height)])
 
 
 def _pieces(ink: Ink, letters: Components, height: float) -> tuple[Floats, Floats, Floats]:
-    """Return middle, top and bottom of letters, (P,) each; of words run together, of pieces."""
+    """Return middle, top and bottom of letters, (P,) each; touching words are divided into
+    pieces."""
     long = letters.width > _WORD * height
     rows = [np.stack([(letters.left + letters.right) / 2, letters.top, letters.bottom])[:, ~long]]
     for k in np.flatnonzero(long):

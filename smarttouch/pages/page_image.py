@@ -1,4 +1,4 @@
-"""Pages of a document: grey levels with a physical scale, and lines of text."""
+"""Pages: gray levels with a physical scale, and lines of text."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,60 +11,62 @@ from PIL import Image
 from smarttouch.base.errors import PageError
 from smarttouch.pages.grey_image import MOST_PIXELS, read_pixels, to_grey
 
-FEWEST_PIXELS = 8  # least side of a page
+FEWEST_PIXELS = 8  # smallest side of a page
 LARGEST_MM, SMALLEST_MM = 2000.0, 2.0
 INCH_MM = 25.4
 _LEAST_BELIEVED_DPI = 50.0
-"""Lowest plausible resolution; files state less (1 or 72 by default) where it is unknown."""
+"""Lowest plausible resolution; files with unknown resolution state less, usually 1 or 72."""
 
 
 def curve_at(
     coefficients: NDArray[np.float64], distance: NDArray[np.float64], length: float
 ) -> NDArray[np.float64]:
-    """Return a curve at distances from its start; straight beyond its ends."""
+    """Return a polynomial at distances from its start, extrapolated linearly."""
     inside = np.clip(distance, 0, length)
     y, slope = np.zeros_like(inside), np.zeros_like(inside)
     for coefficient in coefficients[::-1].tolist():
-        # Horner's method; numpy's polynomials take several times as long.
+        # Horner's method is several times faster than numpy's polynomials.
         y, slope = y * inside + coefficient, slope * inside + y
     return np.asarray(y + slope * (distance - inside), np.float64)
 
 
 @dataclass(frozen=True)
 class TextLine:
-    """Line of text, mm from the page's top left corner."""
+    """Line of text; coordinates are mm from the page's top left corner."""
 
     left_mm: float
     right_mm: float
-    baseline: tuple[float, ...]  # coefficients of y, lowest first, over the distance from left_mm
+    baseline: tuple[
+        float, ...
+    ]  # polynomial coefficients of y, lowest first, over the distance from left_mm
     x_height_mm: float
-    ascent_mm: float  # of all lines of one print, whichever letters they have
+    ascent_mm: float  # ascender height of the font, whatever letters the line has
     descent_mm: float
-    cell: int = 0  # its place in a row of a table, from 1; 0 elsewhere
+    cell: int = 0  # index in a row of a table, from 1; 0 outside of tables
 
     def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the baseline's y at x, mm; straight beyond the line's ends."""
+        """Return y of the baseline at x, mm, extrapolated linearly."""
         length = self.right_mm - self.left_mm
         return curve_at(np.array(self.baseline), x_mm - self.left_mm, length)
 
     def slope(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the slope of the baseline at x, positive if it falls."""
+        """Return the slope of the baseline at x, positive downward."""
         inside = np.clip(x_mm - self.left_mm, 0, self.right_mm - self.left_mm)
         return np.asarray(polynomial.polyval(inside, polynomial.polyder(self.baseline)))
 
     @property
     def height_mm(self) -> float:
-        """Height from the lowest to the highest print."""
+        """Height from ascenders to descenders."""
         return self.ascent_mm + self.descent_mm
 
     @property
     def top_mm(self) -> float:
-        """Top of its print, on average over the line."""
+        """Mean y of the top of the print."""
         return self._mean_mm - self.ascent_mm
 
     @property
     def bottom_mm(self) -> float:
-        """Bottom of its print, on average over the line."""
+        """Mean y of the bottom of the print."""
         return self._mean_mm + self.descent_mm
 
     @property
@@ -75,10 +77,10 @@ class TextLine:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Page as grey levels, (H, W) uint8, bright is white, with its scale.
+    """Page as gray levels, (H, W) uint8, 255 is white, with its scale.
 
-    A PDF also brings its lines in reading order, with the text of each, and notes on what is left
-    out. Without lines the picture is to be recognized.
+    A PDF also provides its lines in reading order, their texts, and notes on omitted parts. Without
+    lines the picture must be recognized.
     """
 
     grey: NDArray[np.uint8]
@@ -97,7 +99,8 @@ class Page:
 def check_scale_options(
     dpi: float | None, width_mm: float | None, width: str = "page_width_mm"
 ) -> None:
-    """Raise a PageError if the user's scale is invalid; ``width`` names the second."""
+    """Raise PageError if the user's scale is invalid; ``width`` is the name of the second
+    option."""
     if dpi is not None and width_mm is not None:
         raise PageError(f"dpi and {width} are both given: give one of them")
     for name, value in (("dpi", dpi), (width, width_mm)):
@@ -108,7 +111,7 @@ def check_scale_options(
 def read_grey(
     path: Path, image: Image.Image, dpi: float | None = None, page_width_mm: float | None = None
 ) -> tuple[NDArray[np.uint8], float | None]:
-    """Return an open image in grey, (H, W) uint8, and its mm per pixel; None if unknown."""
+    """Return an open image as gray levels, (H, W) uint8, and its scale, mm per pixel, or None."""
     require_pixels(str(path), *image.size)
     grey = to_grey(read_pixels(image))
     if page_width_mm is not None:
@@ -120,7 +123,7 @@ def read_grey(
 
 
 def require_pixels(name: str, width: int, height: int) -> None:
-    """Raise a PageError if a page has too many or too few pixels."""
+    """Raise PageError if a page has too many or too few pixels."""
     if width * height > MOST_PIXELS or min(width, height) < FEWEST_PIXELS:
         raise PageError(
             f"{name} has {width} x {height} pixels: a page needs at least {FEWEST_PIXELS} x "
@@ -131,7 +134,7 @@ def require_pixels(name: str, width: int, height: int) -> None:
 def require_size_mm(
     name: str, width_mm: float, height_mm: float, options: str = "dpi or page_width_mm"
 ) -> None:
-    """Raise a PageError if a page is larger or smaller than paper can be."""
+    """Raise PageError if the size of a page is implausible."""
     if max(width_mm, height_mm) > LARGEST_MM or min(width_mm, height_mm) < SMALLEST_MM:
         raise PageError(
             f"{name} would be {width_mm:.4g} x {height_mm:.4g} mm: give a {options} "

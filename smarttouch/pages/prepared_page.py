@@ -1,4 +1,4 @@
-"""Pages ready to be read: straight, dark on white, their lines in order and cut out as strips."""
+"""Pages prepared for reading: straight, dark on white, with lines in order, and strips of lines."""
 
 import math
 import textwrap
@@ -14,20 +14,20 @@ from smarttouch.pages.ink import Grey
 from smarttouch.pages.page_image import INCH_MM, Page, TextLine, require_size_mm
 from smarttouch.pages.text_lines import page_lines
 
-_AROUND = 0.8  # extent of the page considered above and below a line, in heights of the line
-SIDES = 0.25  # paper kept before and after a line, in heights of the line
-_INK = 128  # level below which is ink, when the spots of neighboring lines are located
-_FADED = 2  # samples by which the grey edge of a spot reaches beyond its ink
+_AROUND = 0.8  # considered area above and below a line, in heights of the line
+SIDES = 0.25  # margin before and after a line, in heights of the line
+_INK = 128  # level of ink for spots of neighboring lines
+_FADED = 2  # width of the gray edge of a spot, in samples
 
 
 def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int) -> Grey:
-    """Return a line cut out of a page and straightened along its baseline, (height_px, W) uint8.
+    """Cut a line out of a page, straightened along its baseline, (height_px, W) uint8.
 
-    Its print, from ascenders to descenders, fills the height; `SIDES` of paper stay at each end.
-    What reaches in from the lines above and below is left out.
+    The height is from ascenders to descenders; `SIDES` is the margin at each end. Parts of the
+    lines above and below are removed.
     """
     line_px = line.height_mm / mm_per_pixel
-    # A smaller strip is sampled as finely as the page, then averaged.
+    # Sample a small strip at the resolution of the page, then average.
     steps = max(1, math.ceil(line_px / height_px))
     rows = steps * height_px
     scale_mm = line.height_mm / rows
@@ -37,7 +37,7 @@ def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int
         line.left_mm - sides_mm + (np.arange(width * steps) + 0.5) * scale_mm, np.float64
     )
     across_mm = (np.arange(-above, rows + above) + 0.5) * scale_mm - line.ascent_mm
-    # Columns are not tilted: strokes stay upright on a curved page.
+    # Do not tilt columns: strokes stay upright on a curved page.
     x_mm = np.broadcast_to(along_mm, (len(across_mm), len(along_mm)))
     y_mm = line.baseline_mm(along_mm) + across_mm[:, None]
     wide = cv2.remap(
@@ -53,33 +53,33 @@ def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int
 
 
 def _without_neighbors(wide: Grey, above: int, rows: int) -> Grey:
-    """Return the middle rows of a wider cut, without spots whose center is beyond them."""
+    """Return the middle rows of a larger cut, without spots whose center is outside of them."""
     ink = (wide < _INK).view(np.uint8)
     _, labels, _, centers = cv2.connectedComponentsWithStats(ink, connectivity=8)
     is_foreign = np.abs(centers[:, 1] - above - rows / 2) > rows / 2
     is_foreign[0] = False
     spots = is_foreign.astype(np.uint8)[labels]
     faded = cv2.dilate(spots, np.ones((2 * _FADED + 1,) * 2, np.uint8)) > 0
-    # Ink of this line nearby is kept.
+    # Keep nearby ink of this line.
     cut = np.where(faded & ((labels == 0) | (spots > 0)), np.uint8(255), wide)
     return cut[above : above + rows]
 
 
 Corners = NDArray[np.float64]
 
-_SIDE_PX = 480  # longer side of the image in which a sheet is detected
-_LEAST_PART = 0.2  # least part of the photograph covered by a sheet
-_LARGEST_PART = 0.97  # part above which the image is the sheet itself, scanned
+_SIDE_PX = 480  # longer side of the image for sheet detection
+_LEAST_PART = 0.2  # smallest share of the photograph covered by a sheet
+_LARGEST_PART = 0.97  # share above which the image is a scan
 _LOG_STEPS = (0.1, 0.15, 0.25, 0.4, 0.7)
-"""Least steps, in logarithms of the level, of edges that enclose a sheet; shadows' are lower."""
-_LEAST_FILLED = 0.93  # least common part of the quadrilateral and the bright area
+"""Smallest steps, in logarithm of the level, of the edges of a sheet; shadows have smaller ones."""
+_LEAST_FILLED = 0.93  # smallest share of the quadrilateral that is bright
 _LEAST_STEP = 25.0
-"""Least drop in grey level from the paper to its background, across each visible edge."""
-_EDGE_PX = 6  # distance from an edge at which both sides of it are compared, in that image
-_LEAST_SIDES = 3  # fewest visible edges; the fourth may be the edge of the photograph
-_ROUGH = 0.02  # tolerance of an outline with four corners, as a part of its length
+"""Smallest drop of the gray level from paper to background at a visible edge."""
+_EDGE_PX = 6  # distance from an edge at which its sides are compared
+_LEAST_SIDES = 3  # smallest number of visible edges; others may be edges of the photograph
+_ROUGH = 0.02  # tolerance of a quadrilateral outline, relative to its length
 _SQUARE = np.ones((3, 3), np.uint8)
-_INSET = 0.006  # part of the sheet left out at its blurred edges
+_INSET = 0.006  # share of the sheet removed at its blurred edges
 
 
 def find_sheet(grey: Grey) -> Corners | None:
@@ -87,7 +87,7 @@ def find_sheet(grey: Grey) -> Corners | None:
     factor = _SIDE_PX / max(grey.shape)
     size = (max(8, round(grey.shape[1] * factor)), max(8, round(grey.shape[0] * factor)))
     small = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
-    # Print on the sheet is bridged first.
+    # Fill the print on the sheet first.
     around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
     paper = np.asarray(cv2.morphologyEx(small, cv2.MORPH_CLOSE, around), np.uint8)
     edges = cv2.morphologyEx(np.log(paper + np.float32(8)), cv2.MORPH_GRADIENT, _SQUARE)
@@ -99,7 +99,7 @@ def find_sheet(grey: Grey) -> Corners | None:
             outlines, _ = cv2.findContours(area, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
             outline = max(outlines, key=cv2.contourArea)
             covered = cv2.contourArea(outline)
-            # A sheet that is lit in part only is the largest that is found.
+            # Take the largest area, as a sheet may be partly lit.
             if largest < covered < _LARGEST_PART * small.size:
                 hull = cv2.convexHull(outline)
                 corners = cv2.approxPolyDP(hull, _ROUGH * cv2.arcLength(hull, True), True)[:, 0]
@@ -111,7 +111,7 @@ def find_sheet(grey: Grey) -> Corners | None:
 
 
 def flattened(grey: Grey, corners: Corners) -> Grey:
-    """Return a sheet as seen from straight above, at its finest resolution."""
+    """Rectify a sheet, at its finest resolution."""
     middle = corners.mean(axis=0)
     corners = middle + (1 - _INSET) * (corners - middle)
     across, down = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
@@ -126,7 +126,7 @@ def flattened(grey: Grey, corners: Corners) -> Grey:
 
 
 def _is_sheet(corners: Corners, covered: float, paper: Grey) -> bool:
-    """Return whether four corners are those of a sheet with a darker background."""
+    """Return whether four corners enclose a sheet on a darker background."""
     if abs(covered / cv2.contourArea(corners.astype(np.float32)) - 1) > 1 - _LEAST_FILLED:
         return False
     around, seen = np.pad(paper, _EDGE_PX, mode="edge").astype(np.float64), 0
@@ -146,21 +146,19 @@ LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
 
 @dataclass(frozen=True, eq=False)
 class PreparedPage:
-    """Page straightened and cleaned to dark on white, its paper 255, with lines in reading
-    order.
-    """
+    """Straight page, dark on pure white, with lines in reading order."""
 
     page: Page
     cleaned: Grey
     lines: tuple[TextLine, ...]
     light_on_dark: bool
     notes: tuple[str, ...]
-    words: tuple[str, ...] = ()  # words of each line, where the page brings them
+    words: tuple[str, ...] = ()  # text of each line, if the page provides it
     known: dict[int, tuple[str, float]] = field(default_factory=dict)
-    """Text of lines that were recognized already, with a confidence in [0, 1]."""
+    """Texts of recognized lines, with confidences in [0, 1]."""
 
     def strip(self, index: int, height_px: int) -> Grey:
-        """Return a line straightened, (height_px, W) uint8, ascenders to descenders filling it."""
+        """Return a straightened line, (height_px, W) uint8, from ascenders to descenders."""
         return cut_strip(self.cleaned, self.page.mm_per_pixel, self.lines[index], height_px)
 
 
@@ -169,9 +167,8 @@ def prepare_page(
     light_on_dark: bool | None = None,
     leftward: bool = False,
 ) -> PreparedPage:
-    """Prepare a scan, photograph or picture of print for reading, detecting its polarity if not
-    given; columns of ``leftward`` scripts are read from the right.
-    """
+    """Prepare a scan, photograph or picture of print for reading; detect the polarity by default.
+    Columns of ``leftward`` scripts are read from right to left."""
     notes: list[str] = []
     corners = find_sheet(page.grey)
     if corners is not None:
@@ -187,14 +184,14 @@ def prepare_page(
 
 PRINT_DPI = 300
 _WIDTH_MM, _MARGIN_MM, _LINE_MM, _STEP_MM = 92.0, 7.0, 4.2, 8.0
-"""Printed page, its margins, its lines from ascender to descender, and their distance."""
+"""Printed page: width, margins, height of lines and line distance."""
 _COLUMNS = 30
 _INK_LEVEL = 15
 _PER_MM = PRINT_DPI / INCH_MM
 
 
 def print_text(text: str) -> Page:
-    """Print a text as black on white at 300 dots per inch; the page has its lines and words."""
+    """Print a text black on white at 300 dots per inch; the page contains its lines and texts."""
     wrapped = [row for part in text.splitlines() for row in textwrap.wrap(part, _COLUMNS) or [""]]
     if not any(wrapped):
         raise PageError("text: has no words: give some after the colon")
@@ -204,7 +201,7 @@ def print_text(text: str) -> Page:
     )
     sheet = Image.new("L", (round(_WIDTH_MM * _PER_MM), round(height_mm * _PER_MM)), 255)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=_LINE_MM * _PER_MM * 1.26)
-    # Heights above the baseline.
+    # heights above the baseline
     high, low, x_high = (-font.getbbox(signs, anchor="ls")[k] / _PER_MM
                          for signs, k in (("dlA", 1), ("gpy", 3), ("x", 1)))  # fmt: skip
     lines = []
@@ -222,6 +219,6 @@ def print_text(text: str) -> Page:
 
 
 def prepare_text(text: str) -> PreparedPage:
-    """Print a text and return it ready to be read, with its known lines."""
+    """Print a text and prepare the page, with its known lines."""
     page = print_text(text)
     return PreparedPage(page, page.grey, page.lines, False, (), page.words)

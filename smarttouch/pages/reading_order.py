@@ -1,4 +1,4 @@
-"""Reading order of the text segments of a page: columns one after another, tables row by row."""
+"""Reading order of text segments: columns one after another, tables row by row."""
 
 import itertools
 import math
@@ -8,47 +8,48 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-_SAME_LINE, _SPACE = 0.3, 0.1  # distance of baselines of one line, and gap that is a space
+_SAME_LINE, _SPACE = 0.3, 0.1  # tolerance of baselines of a line; smallest gap that is a space
 _WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
-"""Gaps that part words, and figures, and the least that all rows of a picture share."""
-_APART, _FLUSH = 2.5, 0.4  # gap that parts a line, and difference of the ends of justified prose
-_FARTHER = 1.6  # distance of blocks, in usual ones of rows
-_EDGE = 0.125  # part of the page's height at its ends that has running heads
+"""Gaps that separate words, and figures, and the smallest gap common to all rows of a picture."""
+_APART, _FLUSH = 2.5, 0.4  # gap that separates segments; tolerance of the ends of justified text
+_FARTHER = 1.6  # distance of blocks, relative to the typical row distance
+_EDGE = 0.125  # share of the page's height, at top and bottom, for running heads
 _WIDE_CELL, _WIDER, _WIDEST, _LOOSE = 5.0, 8.0, 13.0, 1.5
-"""Mean widths of lines above which columns are prose: of a picture, of a PDF, and of loose rows;
-and distance of rows that are loose."""
-_FEWEST = 3  # rows that are columns by their widths
-_SURE = 1.15  # ratio of the widths of lines to these above which, or below its inverse, they decide
+"""Mean line widths above which columns are prose: in pictures, in PDFs, and with loose rows; and
+the distance of loose rows."""
+_FEWEST = 3  # smallest number of rows to judge columns by width
+_SURE = 1.15  # ratio of line width to threshold above which the order is certain
 DOUBTFUL = "the reading order is doubtful: words side by side may be columns, or rows of a table"
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
-"""The mark of a list's item, or the number of a section."""
+"""Mark of a list item, or number of a section."""
 
 
 @dataclass(eq=False)
 class Segment:
-    """Text without a wide gap: a character, a part of a line, or a line of a picture; y down."""
+    """Text without a wide gap: a character, a part of a line, or a line of a picture. y points
+    down."""
 
     text: str
     left: float
     right: float
-    y: float  # of its baseline
-    size: float  # of its letters
-    place: int  # in the file's order; below 0 in fields of a form and in pictures
-    space: str = ""  # what precedes it in a file
-    turn_deg: int | None = 0  # by which the page must be turned for it; None if it is aslant
+    y: float  # baseline
+    size: float  # letter size
+    place: int  # index in the file; negative in form fields and pictures
+    space: str = ""  # white space before it in the file
+    turn_deg: int | None = 0  # rotation that makes it horizontal; None if slanted
 
     def gap(self, other: "Segment") -> float:
-        """Return the distance of the nearer ends of two segments, in sizes of the larger."""
+        """Return the gap between two segments, in letter sizes of the larger."""
         distance = max(other.left - self.right, self.left - other.right)
         return distance / max(self.size, other.size)
 
     def is_apart(self, other: "Segment") -> bool:
-        """Return whether the gap between two segments may part columns."""
+        """Return whether the gap between two segments may separate columns."""
         are_figures = self.text[-1:].isdigit() and other.text[:1].isdigit()
         return self.gap(other) > (_FIGURES if are_figures else _WIDE)
 
     def add(self, text: str, other: "Segment") -> None:
-        """Add the text of another segment, and its extent."""
+        """Append another segment."""
         self.text += text
         self.left, self.right = min(self.left, other.left), max(self.right, other.right)
 
@@ -60,8 +61,7 @@ _T = TypeVar("_T")
 
 @dataclass(eq=False)
 class Line:
-    """Segments of a line, its text, whether it is the row of a table, and whether that is
-    doubtful."""
+    """Line: its segments and text, whether it is a table row, and whether that is doubtful."""
 
     segments: Row
     text: str
@@ -70,10 +70,11 @@ class Line:
 
 
 def reading_order(segments: Row, height: float, leftward: bool = False) -> list[Line]:
-    """Return the lines of a page of some height; ``leftward`` scripts are read from the right.
+    """Return the lines of a page in reading order; ``leftward`` scripts are read from right to
+    left.
 
-    Cells of a table's row are parted by semicolons, and an empty one is a hyphen; further lines of
-    cells are rows of their own. Segments of a file's text that are close are joined.
+    Cells of a table row are separated by semicolons; an empty cell is a hyphen. Additional lines of
+    a cell are separate rows. Close segments of a file's text are joined.
     """
     if leftward:
         _mirror(segments)
@@ -99,7 +100,7 @@ def _mirror(segments: Row) -> None:
 
 
 def split(items: list[_T], begins: Callable[[_T, _T], bool]) -> list[list[_T]]:
-    """Return items in pieces, a new one where ``begins`` holds of an item before and its next."""
+    """Split items into lists; a new list starts where ``begins(previous, item)`` is true."""
     pieces = [items[:1]] if items else []
     for before, item in itertools.pairwise(items):
         if begins(before, item):
@@ -109,8 +110,7 @@ def split(items: list[_T], begins: Callable[[_T, _T], bool]) -> list[list[_T]]:
 
 
 def _joined(row: Row) -> Row:
-    """Return the segments of a row of a file's text, those that are close in one; also the mark of
-    an item and its text."""
+    """Join close segments of a row, and the mark of an item with its text."""
     joined = row[:1]
     for segment in row[1:]:
         before, gap = joined[-1], joined[-1].gap(segment)
@@ -123,7 +123,7 @@ def _joined(row: Row) -> Row:
 
 
 def _join_justified(rows: list[Row]) -> None:
-    """Join rows that are as wide as the prose at the row before."""
+    """Join segments of rows that are as wide as the prose in the row before."""
     for (first, *others), row in itertools.pairwise(rows):
         ends = abs(row[0].left - first.left), abs(row[-1].right - first.right)
         if " " in first.text and not others and max(ends) < _FLUSH * first.size:
@@ -131,7 +131,7 @@ def _join_justified(rows: list[Row]) -> None:
 
 
 def _ordered(rows: list[Row]) -> list[Line]:
-    """Return the lines of rows, each band of them as columns, as a table, or as it is."""
+    """Return the lines of rows; each band is read as columns, as a table, or row by row."""
     _join_justified(rows)
     _join_justified(rows[::-1])
     lines: list[Line] = []
@@ -170,7 +170,7 @@ def _insets(rows: list[Row], gap: _Span) -> list[Row] | None:
 
 
 def _blocks(rows: list[Row]) -> list[list[Row]]:
-    """Return rows parted where their distance is larger than usual."""
+    """Split rows into blocks at larger distances."""
     far = _FARTHER * _usual_step(rows)
     return split(rows, lambda above, row: row[0].y - above[0].y > far)
 
@@ -181,7 +181,7 @@ def _usual_step(rows: list[Row]) -> float:
 
 
 def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Span]]]:
-    """Yield successive rows that share gaps, with these; others alone."""
+    """Yield bands of successive rows with common gaps, and these gaps; other rows are single."""
     band: list[Row] = []
     shared: list[_Span] = []
     for row in rows:
@@ -198,13 +198,13 @@ def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Span]]]:
 
 
 def _free(row: Row) -> list[_Span]:
-    """Return the gaps between segments of a row, and the space before and after it."""
+    """Return the gaps between segments of a row, including those before and after it."""
     lefts, rights = [part.left for part in row], [part.right for part in row]
     return [*zip([-math.inf, *rights], [*lefts, math.inf], strict=True)]
 
 
 def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
-    """Return the rows of the segments between two places."""
+    """Return the parts of rows between two places."""
     rows = ([part for part in row if left <= (part.left + part.right) / 2 < right] for row in band)
     return [row for row in rows if row]
 
@@ -223,7 +223,7 @@ def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: flo
         return math.inf
     if level < _FEWEST:
         return 0.0
-    # Rows of a table are short, or farther apart than lines of a column.
+    # Table rows are short, or farther apart than lines of prose.
     step = max(map(_usual_step, (left, right))) / band[0][0].size
     least = _WIDEST if step > _LOOSE else _WIDER if printed else _WIDE_CELL
     return min(
@@ -233,10 +233,10 @@ def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: flo
 
 
 def _lines(band: list[Row]) -> list[Line]:
-    """Return rows as lines: those of a table if the gaps of two have a place in common.
+    """Convert rows to lines.
 
-    Cells are parted at the fewest places that lie in all gaps. What is in the first column alone is
-    a plain line, parted at very wide gaps.
+    Rows are table rows if the gaps of two rows overlap. Cells are separated at the smallest number
+    of places that lie in all gaps. A row with only a first column is a plain line.
     """
     gaps = sorted((gap for row in band for gap in _free(row)[1:-1]), key=lambda gap: gap[1])
     shared: list[_Span] = []

@@ -1,4 +1,4 @@
-"""Files of text: their kind by name and content, plain texts, and what pandoc reads."""
+"""Text files: detection of their kind, plain text, and documents read by pandoc."""
 
 import codecs
 import io
@@ -17,14 +17,14 @@ from smarttouch.base.files import MOST_DOCUMENT_BYTES, decoded, open_file, read_
 
 INSTALL = "apt install pandoc"
 MOST_BYTES, MOST_UNPACKED_BYTES = 50_000_000, 500_000_000
-"""Largest file, and largest content of a packed one."""
+"""Largest file, and largest unpacked content."""
 _TIMEOUT_S, _MEMORY = 120.0, "1500M"
 _FILTER = Path(__file__).with_name("pandoc_text.lua")
 _BEGINNING_BYTES = 4096
 _UTF16 = re.compile(rb"\xff\xfe|\xfe\xff|(?:[\t-~]\0){4}|(?:\0[\t-~]){4}")  # or Latin letters
 _NO_TEXT = bytes({*range(0x20), 0x7F} - {*b"\t\n\f\r\x1b"})
 _BRF = frozenset([".brf", ".brl", ".ueb", ".bfm"])
-_TEX = "+tex_math_dollars+tex_math_single_backslash"  # TeX in a text is a formula
+_TEX = "+tex_math_dollars+tex_math_single_backslash"  # TeX formulas in Markdown
 _MARKDOWN = (
     "markdown-markdown_in_html_blocks-raw_tex-task_lists-example_lists"
     f"+lists_without_preceding_blankline{_TEX}"
@@ -45,7 +45,7 @@ _FOREIGN = {
     "a notebook (Jupyter)": rb"\s*\{.*\"(?:nbformat|cells)\"\s*:",
     "an old or locked Office document, or a mail of Outlook": rb"\xd0\xcf\x11\xe0",
 }
-"""Kinds that are not read, and how they begin."""
+"""Unsupported kinds, by their first bytes."""
 _ODF = "mimetypeapplication/vnd.oasis.opendocument."
 _IN_ZIP = {
     "word/": "docx", "mimetypeapplication/epub+zip": f"epub{_TEX}", f"{_ODF}text": "odt",
@@ -53,21 +53,21 @@ _IN_ZIP = {
     "xl/": "a spreadsheet", f"{_ODF}spreadsheet": "a spreadsheet", f"{_ODF}graphics": "a drawing",
     "Documents/1/": "an XPS document", "Index/": "a document of Pages, Numbers or Keynote",
 }  # fmt: skip
-"""Beginnings of the names of members of packed documents, and what their mimetype says."""
+"""Unsupported packed documents, by the names of members or by mimetype."""
 _EMBEDDED = re.compile(
     rb"<(?:iframe|video|audio|canvas|object|embed|wps:txbx|w:object|c:chart|dgm:relIds)\b|"
     rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>",
     re.DOTALL | re.IGNORECASE,
 )
-"""Elements of HTML, DOCX and ODT that pandoc drops without a word."""
+"""Elements of HTML, DOCX and ODT that pandoc silently drops."""
 _HEADS = re.compile(
     rb"<w:(?:hdr|ftr)\b.*?<w:t\b|<style:(?:header|footer)\b[^>]*>(?:\s*<[^>]*>)*[^<\s]", re.DOTALL
 )
-"""The heads of pages with text in DOCX and ODT."""
+"""Page headers and footers with text in DOCX and ODT."""
 
 
 class FileKind(StrEnum):
-    """Kind of a file: plain text, Braille, what pandoc reads, and images or a PDF."""
+    """Kind of a file: plain text, Braille, document for pandoc, or image or PDF."""
 
     TEXT = "text"
     BRF = "brf"
@@ -76,8 +76,8 @@ class FileKind(StrEnum):
 
 
 def file_kind(path: Path) -> FileKind:
-    """Return the kind of a file by its first bytes; only Braille, .txt and .md, and HTML without
-    its beginning, are known by their names. Raise where nothing here reads it."""
+    """Return the kind of a file, by its first bytes. Braille, .txt, .md and incomplete HTML are
+    identified by name. Raises PageError for unsupported kinds."""
     suffix, data = path.suffix.lower(), _beginning(path)
     if not data:
         raise PageError(f"{path} is empty: give another file")
@@ -91,7 +91,7 @@ def file_kind(path: Path) -> FileKind:
 
 
 def read_plain_text(path: Path) -> str:
-    """Return a text file in UTF-8 or UTF-16, with newlines only, and no byte-order mark."""
+    """Read a text file in UTF-8 or UTF-16, with normalized newlines and without byte-order mark."""
     data = read_bytes(path, PageError, MOST_BYTES)
     if _UTF16.match(data):
         encoding = "utf-16-be" if data.startswith(b"\0") else "utf-16"
@@ -101,11 +101,11 @@ def read_plain_text(path: Path) -> str:
 
 
 def read_document_text(path: Path, note: Callable[[str], None]) -> str:
-    """Return the text of DOCX, EPUB, HTML, Markdown or ODT: a line for each paragraph, list item
-    and row of a table.
+    """Return the text of DOCX, EPUB, HTML, Markdown or ODT.
 
-    Cells of a row are separated by semicolons, and an empty one is a hyphen. ``note`` gets a
-    sentence for each kind of content that is left out. Nothing else is opened; no script is run.
+    Each paragraph, list item and table row is a line. Cells of a row are separated by semicolons;
+    an empty cell is a hyphen. ``note`` receives a sentence for each kind of omitted content. No
+    other files are opened, and no scripts are run.
     """
     kind, program = str(_format_of(path)), shutil.which("pandoc")
     if program is None:
@@ -134,8 +134,8 @@ def read_document_text(path: Path, note: Callable[[str], None]) -> str:
 
 
 def _format_of(path: Path) -> str | None:
-    """Return pandoc's name of a document's format, by its content where that shows it; None if
-    pandoc does not read it. Raise where nothing here reads it."""
+    """Return pandoc's name of a document's format, by content if possible; None if pandoc cannot
+    read it. Raises PageError for unsupported kinds."""
     data, suffix = _beginning(path).removeprefix(codecs.BOM_UTF8), path.suffix.lower()
     if data.startswith(b"PK\x03\x04"):
         with _opened(path) as packed:
@@ -160,7 +160,7 @@ def _format_of(path: Path) -> str | None:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
-    """Open a packed document; any sign of damage, here or inside, becomes a PageError."""
+    """Open a packed document; errors by damage, also within the block, become PageErrors."""
     try:
         with zipfile.ZipFile(path) as packed:
             yield packed
@@ -169,10 +169,10 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def _prepared(path: Path, kind: str) -> tuple[bytes, int, int]:
-    """Return a document as pandoc reads it best, and the numbers of its embedded objects and of
-    its headers and footers with text.
+    """Prepare a document for pandoc; return it with the numbers of embedded objects and of headers
+    and footers with text.
 
-    Raises if it is not in UTF-8, or would fill the memory when unpacked.
+    Raises PageError if it is not in UTF-8, or too large when unpacked.
     """
     data = read_bytes(path, PageError, MOST_BYTES)
     if not data.startswith(b"PK"):
@@ -188,7 +188,7 @@ def _prepared(path: Path, kind: str) -> tuple[bytes, int, int]:
             content = packed.read(member)
             if member.filename in ("word/document.xml", "content.xml"):
                 content, embedded = _EMBEDDED.subn(mark, content)
-                # pandoc drops the heads of an ODT's tables.
+                # pandoc drops the header rows of tables in ODT.
                 content = re.sub(rb"</?table:table-header-rows[^>]*>", b"", content)
             heads += len(_HEADS.findall(content))
             copy.writestr(member, content)

@@ -1,4 +1,4 @@
-"""Lines of text on a page, which is turned level: their size of print and reading order."""
+"""Lines of text on a page: skew correction, letter sizes and reading order."""
 
 import math
 from dataclasses import dataclass, replace
@@ -39,22 +39,23 @@ class PageLines:
 
 FAINT = "faint marks, as of print on the back of the sheet"
 _SMALL_PX, _LARGEST_PIXELS = 9.0, 40_000_000
-"""Height of letters below which a page is enlarged, and the largest enlarged page."""
-_FEWEST_PIXELS = 3  # least area of a part of print
-_HEIGHT = 0.96  # from ascender to descender, in sizes of the font
+"""Letter height below which a page is enlarged, and the largest enlarged page."""
+_FEWEST_PIXELS = 3  # smallest area of a component of print
+_HEIGHT = 0.96  # from ascender to descender, in font sizes
 
 
 def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
-    """Return the lines of text in reading order; find the polarity of the page if it is None."""
+    """Return the lines of text in reading order; None means to detect the polarity."""
     return page_lines(page, light_on_dark).lines
 
 
 def page_lines(
     page: Page, light_on_dark: bool | None, leftward: bool = False, turn: bool = False
 ) -> PageLines:
-    """Return a page, turned level if asked for, its ink, dark panels turned light, and its lines.
+    """Find the lines of a page.
 
-    Small print is enlarged until its lines can be followed.
+    With ``turn`` its skew is corrected first. Dark panels are inverted, and small print is
+    enlarged.
     """
     paper = separate_ink(page.grey, light_on_dark)
     components, labels = find_components(paper.ink)
@@ -132,15 +133,15 @@ def _ordered(
 
 
 _SKEWS_DEG = np.linspace(-16, 16, 321)
-_LEAST_SKEW_DEG, _PEAK_DEG = 0.2, 0.6  # below, lines are followed; half of a peak's width
+_LEAST_SKEW_DEG, _PEAK_DEG = 0.2, 0.6  # smallest skew to correct; half width of a peak
 _BIN, _FEWEST, _SURE = 0.25, 30, 2.0
-"""Height of the bins that count the lower ends of letters, in letter heights; fewest letters, and
-least ratio to the usual skew's count, that determine a skew."""
+"""Bin height of the histogram of lower ends, in letter heights; smallest number of letters, and
+smallest ratio of the peak to typical counts, for a reliable skew."""
 
 
 def skew_of(letters: Components, height: float) -> float:
-    """Return the clockwise skew in degrees at which most lower ends of letters, of a usual height
-    in px, are in line; 0 if it is not certain."""
+    """Return the clockwise skew, degrees, at which most lower ends of letters are aligned; 0 if
+    uncertain. ``height`` is the typical letter height, px."""
     x = (letters.left + letters.right) / 2
     if len(x) < _FEWEST:
         return 0.0
@@ -154,7 +155,7 @@ def skew_of(letters: Components, height: float) -> float:
 
 
 def turned(grey: Grey, skew_deg: float) -> Grey:
-    """Rotate a page back; it grows, and the new area is filled with its paper."""
+    """Correct the skew of a page; the page becomes larger, and new areas are filled with paper."""
     height, width = grey.shape
     angle = math.radians(skew_deg)
     cos, sin = math.cos(angle), abs(math.sin(angle))
@@ -168,13 +169,14 @@ def turned(grey: Grey, skew_deg: float) -> Grey:
 
 
 _LEAST_SIDES, _LEAST_INK = (2.5, 5.0), 0.6
-"""Least height and width of a panel, in letter heights, and ink in its box."""
+"""Smallest height and width of a panel, in letter heights, and smallest share of ink."""
 _LIGHT_LETTER, _FEWEST_LETTERS = (0.5, 9.0), 4
-"""Range of its letter height, in letter heights of the page: halftones have less."""
+"""Range of letter heights in a panel, in letter heights of the page; halftones have smaller
+dots."""
 
 
 def _panels(ink: Ink, components: Components, height: float) -> Ink:
-    """Return where dark panels with light print are, (H, W)."""
+    """Return a mask of dark panels with light print, (H, W)."""
     wide, tall = components.width, components.height
     large = (tall > _LEAST_SIDES[0] * height) & (wide > _LEAST_SIDES[1] * height)
     panels = np.zeros_like(ink)
@@ -197,7 +199,8 @@ _SHORT = 11.0  # length of a row, in letter heights, below which it has the slop
 
 
 def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Baseline], int]:
-    """Return the baselines of rows that are text, and the number of those too small to be read."""
+    """Return the measures of rows that are text, and the number of rows that are too small to
+    read."""
     measured: list[Baseline] = []
     small = 0
     for tried, row in enumerate(sorted(rows, key=lambda row: -row.length)):
@@ -226,8 +229,8 @@ most foreign ink there, relative to its own and for each of its letters, also of
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
-    """Return lines that are no part of a picture. These are amid other ink, have few letters, or
-    letters of many heights."""
+    """Return lines that are not parts of a picture. Those are surrounded by other ink, have few
+    letters, or letters of different heights."""
     rest = ink.astype(np.uint8)
     for line in lines:
         if len(line.rise) > 1:
@@ -257,14 +260,14 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
 
 
 _REACH, _FARTHEST, _ABOVE, _BELOW = 1.2, 3.5, 1.6, 0.5
-"""Largest distance of a mark from its line's end, of the last one, and of one above and below the
-baseline, in x-heights."""
+"""Largest distances of a mark, in x-heights: from the end of its line, for the last mark, above and
+below the baseline."""
 _THINNEST, _SHORTEST, _LONGEST = 0.06, 0.15, 2.5
-"""Shorter and longer side of a dot, a dash or a single letter, in x-heights."""
+"""Largest shorter and longer side of a dot, dash or single letter, in x-heights."""
 
 
 def _with_marks(lines: list[Baseline], components: Components) -> list[Baseline]:
-    """Return lines, each with the marks at its ends."""
+    """Add the marks at the ends of lines."""
     letters = np.concatenate([line.letters.left + 1j * line.letters.top for line in lines])
     free = components.of(~np.isin(components.left + 1j * components.top, letters))
     x, y = (free.left + free.right) / 2, (free.top + free.bottom) / 2
@@ -280,7 +283,7 @@ def _with_marks(lines: list[Baseline], components: Components) -> list[Baseline]
             near = (marks.left < right + _REACH * size) & (marks.right > left - _REACH * size)
             left = float(marks.left[near].min(initial=int(left)))
             right = float(marks.right[near].max(initial=int(right)))
-        # Longer rows of marks are leaders.
+        # Longer rows of marks are leader dots.
         left = left if line.left - left < _FARTHEST * size else line.left
         right = right if right - line.right < _FARTHEST * size else line.right
         curve = np.poly1d(line.curve[::-1])(np.poly1d([1.0, left - line.left]))
@@ -290,16 +293,16 @@ def _with_marks(lines: list[Baseline], components: Components) -> list[Baseline]
 
 
 _SAME, _CAPITALS, _CAPITAL = 0.15, 0.08, 1.42
-"""Difference of x-heights of one print; part of tall letters below which all are capitals; height
-of a capital, in x-heights."""
+"""Relative difference of x-heights of one font size; share of tall letters below which all are
+capitals; height of a capital, in x-heights."""
 _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 """Ranges of ascent and descent, in x-heights."""
 
 
 def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:
-    """Return the x-height of each line, (N,) px, and the reach of all above and below, in those.
+    """Return the x-height of each line, (N,) px, and the common ascent and descent, in x-heights.
 
-    Lines of one print share their size; those of capitals and figures measure taller.
+    Lines of one font size share it; lines of capitals and figures measure taller.
     """
     size, length = np.array([(line.x_height, line.right - line.left) for line in lines]).T
     tall = np.array([np.mean(line.rise > 1.25 * line.x_height) for line in lines])

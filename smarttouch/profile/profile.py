@@ -224,9 +224,10 @@ class Profile(Table):
 
     @property
     def design_total_ma(self) -> float | None:
-        """Limit of total current in the design of kernels, mA; None if not needed.
+        """Limit of total current in the design of kernels, mA, or None.
 
-        It is not needed at the project's ceiling, which always holds, if points do not share slots.
+        None means that points do not share slots, and that the limit is the project's ceiling,
+        which single kernels always keep.
         """
         total = self.limits.total_ma or CEILING_TOTAL_MA
         return total if self.shares or total < CEILING_TOTAL_MA else None

@@ -40,7 +40,7 @@ class Display(Closing):
     Raises
     ------
     BoardError
-        If there is no such driver, or the profile does not go with it.
+        If there is no such driver, or the profile does not fit the board.
 
     Examples
     --------
@@ -148,7 +148,7 @@ def open_display(
     Raises
     ------
     BoardError
-        If there is no such driver, or the profile does not go with it.
+        If there is no such driver, or the profile does not fit the board.
 
     Examples
     --------

@@ -120,11 +120,8 @@ class Program(Source, Listener):
         self._result: StepResult
         self._count = 0  # number of shown patterns
         self._last_number: int | None = None
-        # shared by threads
-        self._turns, self._waiting = (
-            threading.Lock(),
-            deque[object](),
-        )  # that wait to show something
+        # shared by threads; those in `_waiting` are about to show something
+        self._turns, self._waiting = threading.Lock(), deque[object]()
         self._news, self._put_lock = threading.Event(), threading.Lock()
         self._put: tuple[NDArray[np.float32] | Frame, int, int] = (self._nothing, 0, 0)
         """The put pattern, its arrival and the time when it becomes stale, by

@@ -138,7 +138,7 @@ class RecordedControls(Controls):
         return replace(today, mode=recorded.mode, level=today.level * recorded.level)
 
     def next_mode(self) -> None:
-        """Do nothing: the modes are the recording's."""
+        """Do nothing, as the recording determines the mode."""
 
     def choose_mode(self, mode: Mode | str) -> None:
-        """Do nothing: the modes are the recording's."""
+        """Do nothing, as the recording determines the mode."""

@@ -179,7 +179,7 @@ class CameraDevice(ImageDevice):
         """Convert an image of OpenCV (BGR) to gray."""
         if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] == 2):
             raise SourceError(
-                f"{self.title} gives images of shape {image.shape}: only grey and color can be read"
+                f"{self.title} gives images of shape {image.shape}: only gray and color can be read"
             )
         if image.ndim == 3 and image.shape[2] >= 3:
             image = cv2.cvtColor(np.ascontiguousarray(image[:, :, :3]), cv2.COLOR_BGR2RGB)

@@ -176,8 +176,8 @@ class _Pass(NamedTuple):
 class NetPlan:
     """Plans periods so that the net charge of a second stays below its limit.
 
-    Passes with charge of one sign are slowed evenly if their rate would exceed the limit and half
-    of it is used. After a change of the picture, passes are delayed as much as needed.
+    If passes of one sign would exceed the limit at their rate, they are slowed evenly, beginning
+    when half of the limit is used. After a change of the picture, passes are delayed as needed.
     """
 
     def __init__(self, electrodes: int) -> None:

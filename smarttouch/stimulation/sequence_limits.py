@@ -65,8 +65,9 @@ def add_up(
 def strength_ppb(limits: SafetyLimits, ppb: int, peak_pc: int) -> int:
     """Return the strength of a sequence in parts per billion.
 
-    The share is ``peak_pc``, the largest charge of a pulse, relative to a full pulse. Strength is
-    the claimed intensity, ``ppb``, limited to one to `STRENGTH` times the share.
+    Strength is the claimed intensity, ``ppb``, clipped to a range. The lower bound is ``peak_pc``,
+    the largest charge of a pulse, relative to a full pulse; the upper bound is `STRENGTH` times
+    that.
     """
     full, parts = limits.full_ratio
     share = -(-peak_pc * PPB * parts // (full * limits.width_whole_us))

@@ -37,7 +37,7 @@ from smarttouch.views.screen import BlindScreen, Screen
 if TYPE_CHECKING:
     from smarttouch.views.window import Window
 
-OPENED_WITHIN_S = 60.0  # without a browser: somebody may copy the address
+OPENED_WITHIN_S = 60.0  # longest wait for a page if somebody must copy its address
 _TIMED_S = 10.0  # longest wait for a page if the run has a time limit
 DRAWN_WITHIN_S = 30.0  # time to finish pictures after a first signal
 

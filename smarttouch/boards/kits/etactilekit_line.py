@@ -102,8 +102,9 @@ GO = b"\xfb\0"  # starts pulses at the next scan
 def zero_anywhere(outputs: int) -> bytes:
     """Return the bytes that set a board to zero in any state of its parser.
 
-    They stop sense pulses and all pulses, and load zeros. Leading zeros complete an incomplete
-    command with a smaller number, and there are spare ones for lost bytes.
+    They stop sense pulses and all other pulses, and load zeros. They begin with zeros, which
+    complete an incomplete command with a smaller number; more zeros than necessary are sent, as
+    some may be lost.
     """
     return bytes(2 * outputs + 4) + NO_SENSE + b"\xfb\x02\x02\x02\xfe" + bytes(2 * outputs)
 

@@ -68,9 +68,9 @@ def encode_scan(
 ) -> list[ScanPart]:
     """Encode a proved sequence as payloads of SEQUENCE, in parts if necessary.
 
-    Slots whose currents are just what the board makes of kernels that it keeps (``image``) become
-    lists of these; others are written as currents, or as states for a board with one source.
-    Voltages are requested of a board that measures them.
+    A slot becomes a list of kernels if these, as stored on the board (``image``), give exactly its
+    currents. Other slots are encoded as currents, or as states for boards with one source. Voltages
+    are requested if the board measures them.
     """
     parts: list[ScanPart] = []
     most_bytes, most_slots = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD, can.max_slots
