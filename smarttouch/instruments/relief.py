@@ -27,14 +27,13 @@ from smarttouch.instruments.textures import (
     Texture,
     TextureSampler,
 )
-from smarttouch.pages.grey_image import open_image
-from smarttouch.pages.page_image import check_scale_options, read_grey, require_size_mm
+from smarttouch.pages.document import Document
+from smarttouch.pages.page_image import require_size_mm
 from smarttouch.pages.prepared_page import print_text
 
 LETTER_MM = 12.0  # height of printed letters, with strokes wide enough for electrodes 2 mm apart
 _PRINTED_MM = 4.2  # height of letters by `print_text`, ascender to descender
 _MARGIN_MM = 4.0
-_SCALE = "dpi or width_mm"
 _LEAST_RANGE = 7.65  # smallest range of gray levels of an image that is not flat
 
 
@@ -48,19 +47,17 @@ class Heights(NamedTuple):
 
 def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = None) -> Heights:
     """Load an image in which ink is high. A scale is required if the file does not state one."""
-    check_scale_options(dpi, width_mm, "width_mm")
-    with open_image(path) as image:
-        grey, mm_per_pixel = read_grey(path, image, dpi, width_mm)
-    if mm_per_pixel is None:
-        raise PageError(f"{path} does not state its size: give {_SCALE}")
-    rows, columns = grey.shape
-    require_size_mm(str(path), columns * mm_per_pixel, rows * mm_per_pixel, _SCALE)
-    return Heights(path.name, _stretched(path.name, 255 - grey.astype(np.float64)), mm_per_pixel)
+    with Document(path, dpi=dpi, page_width_mm=width_mm) as document:
+        page = document.page(0)
+    if document.notes:
+        raise PageError(f"{path} does not state its size: give dpi or width_mm")
+    return Heights(
+        path.name, _stretched(path.name, 255 - page.grey.astype(np.float64)), page.mm_per_pixel
+    )
 
 
 def print_heights(text: str, width_mm: float | None = None) -> Heights:
     """Print a text in large letters, 12 mm high, or scaled to a given total width."""
-    check_scale_options(None, width_mm, "width_mm")
     page = print_text(text)
     mm_per_pixel = page.mm_per_pixel * LETTER_MM / _PRINTED_MM
     ink = page.grey < 128

@@ -18,17 +18,15 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from smarttouch.base.errors import PageError
+from smarttouch.base.errors import PageError, require_within
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file, read_text
 from smarttouch.base.stopping import Closing
-from smarttouch.pages.grey_image import open_image, page_frames
+from smarttouch.pages.grey_image import open_image, page_frames, read_pixels, to_grey
 from smarttouch.pages.page_image import (
     INCH_MM,
     LARGEST_MM,
     Page,
     TextLine,
-    check_scale_options,
-    read_grey,
     require_pixels,
     require_size_mm,
 )
@@ -43,6 +41,8 @@ MOST_RENDERED_PIXELS = 36_000_000
 """Largest rendering of a PDF page, A2 at 300 dots per inch. Larger pages are rendered coarser: most
 are scans with one point per pixel."""
 GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
+_LEAST_BELIEVED_DPI = 50.0
+"""Lowest plausible resolution; files state less (1 or 72 by default) where it is unknown."""
 _SIGNATURE, _SIGNATURE_WITHIN = b"%PDF-", 1024
 """Header of a PDF, and the number of bytes in which readers search for it (ISO 32000-1, Annex
 H.3.4.1)."""
@@ -70,7 +70,11 @@ class Document(Closing):
         page_width_mm: float | None = None,
         password: str | None = None,
     ) -> None:
-        check_scale_options(dpi, page_width_mm)
+        if dpi is not None and page_width_mm is not None:
+            raise PageError("dpi and a width are both given: give one of them")
+        for name, value in (("dpi", dpi), ("width", page_width_mm)):
+            if value is not None:
+                require_within(PageError, name, value, 0, math.inf, above=True)
         self.path: Path = path
         self.notes: list[str] = []
         self._dpi, self._page_width_mm = dpi, page_width_mm
@@ -114,16 +118,22 @@ class Document(Closing):
     def _image_page(self, index: int) -> Page:
         with open_image(self.path) as image:
             image.seek(self._frames[index])
-            grey, mm_per_pixel = read_grey(self.path, image, self._dpi, self._page_width_mm)
+            require_pixels(str(self.path), *image.size)
+            grey = to_grey(read_pixels(image))
+            across, down = map(float, image.info.get("dpi") or (0, 0))
         height, width = grey.shape
-        if mm_per_pixel is None:
-            mm_per_pixel = min(GUESSED_WIDTH_MM / width, LARGEST_MM / height)
-            width_mm = width * mm_per_pixel
+        is_believed = (
+            across >= _LEAST_BELIEVED_DPI and across != 72 and round(across) == round(down)
+        )
+        dpi = self._dpi or (across if is_believed else 0)
+        width_mm = self._page_width_mm or (width / dpi * INCH_MM if dpi else 0)
+        if not width_mm:
+            width_mm = min(GUESSED_WIDTH_MM, LARGEST_MM * width / height)
             self.notes = [
                 f"{self.path} does not state its size: assumed to be {width_mm:.0f} mm wide"
             ]
-        require_size_mm(str(self.path), width * mm_per_pixel, height * mm_per_pixel)
-        return Page(grey, mm_per_pixel)
+        require_size_mm(str(self.path), width_mm, width_mm * height / width)
+        return Page(grey, width_mm / width)
 
     def _pdf_page(self, sheet: "pypdfium2.PdfPage", name: str, printed: int) -> Page:
         signs = list(_signs(sheet, printed))
@@ -136,7 +146,7 @@ class Document(Closing):
         if not min(width, height) > 0:
             raise PageError(f"{name} has no area: the file is damaged")
         point_mm = self._page_width_mm / width if self._page_width_mm else INCH_MM / 72
-        require_size_mm(name, width * point_mm, height * point_mm, "page_width_mm")
+        require_size_mm(name, width * point_mm, height * point_mm, "width")
         finest_dpi = INCH_MM * math.sqrt(MOST_RENDERED_PIXELS / (width * height)) / point_mm
         mm_per_pixel = INCH_MM / (self._dpi or min(PDF_DPI, finest_dpi))
         scale = point_mm / mm_per_pixel
@@ -325,13 +335,12 @@ def _spacing(line: list[Segment]) -> tuple[float, float]:
     0 if a line is neither."""
     gaps = [sign.gap(last) for last, sign in itertools.pairwise(line)]
     spaces = [gap for gap, sign in zip(gaps, line[1:], strict=True) if sign.space == _MADE]
-    words = "".join(sign.space + sign.text for sign in line).split()
-    is_even = len(spaces) > 1 and max(spaces) - min(spaces) < _EVEN
-    if is_even and sum(word[:2].isalpha() and len(word) > 1 for word in words) > 2:
-        return 0.0, _EACH * (len(spaces) + 1)
-    typical = statistics.median(gaps) if len(gaps) > 2 else math.inf
-    is_spaced = typical < _SPACED and "".join(words).isalpha()
-    return (typical, 2 * _WIDER * typical) if is_spaced else (0.0, 0.0)
+    letters = sum(sign.text.isalpha() for sign in line)
+    tracking = statistics.median(gaps) if len(gaps) > 2 else 0.0
+    if letters == len(line) and _TOUCHING / 2 < tracking < _SPACED:
+        return tracking, 2 * _WIDER * tracking
+    is_even = len(spaces) > 1 and max(spaces) - min(spaces) < _EVEN and 3 * letters > len(line)
+    return 0.0, _EACH * (len(spaces) + 1) * is_even
 
 
 def _is_joined(

@@ -32,38 +32,39 @@ _MARKDOWN = (
 _BY_NAME = dict.fromkeys([".md", ".markdown"], _MARKDOWN) | dict.fromkeys(
     [".html", ".htm", ".xhtml"], f"html{_TEX}"
 )
-_HTML = rb"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b"
-_FOREIGN = {
-    "an RTF document": rb"\{\\rtf",
-    "a PEF file": rb".*<pef\b",
-    "an XML document, as drawings in SVG are": rb"\s*<(?:\?xml|svg\b|!--|!doctype svg)(?!.*<html)",
-    "an e-mail": rb"(?:From [^\n]*\n)?(?:[\w-]+:[^\n]*\n(?:[ \t][^\n]*\n)*)*?"
-    rb"(?:received|return-path|mime-version|message-id): ",
-    "a PostScript file": rb"%!PS",
-    "a LaTeX source": rb"\s*(?:%[^\n]*\n\s*)*\\(?:documentclass|documentstyle|begin\{)",
-    "a contact or calendar": rb"BEGIN:V(?:CARD|CALENDAR)",
-    "a notebook (Jupyter)": rb"\s*\{.*\"(?:nbformat|cells)\"\s*:",
-    "an old or locked Office document, or a mail of Outlook": rb"\xd0\xcf\x11\xe0",
+_ODF = rb"PK.*\nmimetypeapplication/vnd\.oasis\.opendocument\."
+_KINDS = {
+    rb"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b": f"html{_TEX}",
+    rb"PK.*\nword/": "docx",
+    rb"PK.*\nmimetypeapplication/epub\+zip": f"epub{_TEX}",
+    _ODF + rb"text": "odt",
+    rb"PK.*\nppt/|" + _ODF + rb"presentation": "a presentation",
+    rb"PK.*\nxl/|" + _ODF + rb"spreadsheet": "a spreadsheet",
+    _ODF + rb"graphics": "a drawing",
+    rb"PK.*\nDocuments/1/": "an XPS document",
+    rb"PK.*\nIndex/": "a document of Pages, Numbers or Keynote",
+    rb"PK\x03\x04": "a packed file (ZIP)",
+    rb"\{\\rtf": "an RTF document",
+    rb".*<pef\b": "a PEF file",
+    rb"\s*<(?:\?xml|svg\b|!--|!doctype svg)(?!.*<html)": "an XML document, as drawings in SVG are",
+    rb"(?:From [^\n]*\n)?(?:[\w-]+:[^\n]*\n(?:[ \t][^\n]*\n)*)*?"
+    rb"(?:received|return-path|mime-version|message-id): ": "an e-mail",
+    rb"%!PS": "a PostScript file",
+    rb"\s*(?:%[^\n]*\n\s*)*\\(?:documentclass|documentstyle|begin\{)": "a LaTeX source",
+    rb"BEGIN:V(?:CARD|CALENDAR)": "a contact or calendar",
+    rb"\s*\{.*\"(?:nbformat|cells)\"\s*:": "a notebook (Jupyter)",
+    rb"\xd0\xcf\x11\xe0": "an old or locked Office document, or a mail of Outlook",
 }
-"""Unsupported kinds, by their first bytes."""
-_ODF = "mimetypeapplication/vnd.oasis.opendocument."
-_IN_ZIP = {
-    "word/": "docx", "mimetypeapplication/epub+zip": f"epub{_TEX}", f"{_ODF}text": "odt",
-    "ppt/": "a presentation", f"{_ODF}presentation": "a presentation",
-    "xl/": "a spreadsheet", f"{_ODF}spreadsheet": "a spreadsheet", f"{_ODF}graphics": "a drawing",
-    "Documents/1/": "an XPS document", "Index/": "a document of Pages, Numbers or Keynote",
-}  # fmt: skip
-"""Unsupported packed documents, by the names of members or by mimetype."""
-_EMBEDDED = re.compile(
-    rb"<(?:iframe|video|audio|canvas|object|embed|wps:txbx|w:object|c:chart|dgm:relIds)\b|"
-    rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>",
-    re.DOTALL | re.IGNORECASE,
-)
+"""Pandoc's formats and unsupported kinds by the first bytes of a file, or by the names of members
+and the mimetype of a ZIP file."""
+_OBJECT = re.compile(rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>", re.DOTALL)
+_DROPPED = {
+    "headers and footers of its pages are left out": rb"<w:(?:hdr|ftr)\b.*?<w:t\b|"
+    rb"<style:(?:header|footer)\b[^>]*>(?:\s*<[^>]*>)*[^<\s]",
+    "embedded objects (formulas, charts, text boxes, frames) are left out": _OBJECT.pattern
+    + rb"|<(?:iframe|video|audio|canvas|object|embed|wps:txbx|w:object|c:chart|dgm:relIds)\b",
+}
 """Elements of HTML, DOCX and ODT that pandoc silently drops."""
-_HEADS = re.compile(
-    rb"<w:(?:hdr|ftr)\b.*?<w:t\b|<style:(?:header|footer)\b[^>]*>(?:\s*<[^>]*>)*[^<\s]", re.DOTALL
-)
-"""Page headers and footers with text in DOCX and ODT."""
 
 
 class FileKind(StrEnum):
@@ -78,16 +79,7 @@ class FileKind(StrEnum):
 def file_kind(path: Path) -> FileKind:
     """Return the kind of a file, by its first bytes. Braille, .txt, .md and incomplete HTML are
     identified by name. Raises PageError for unsupported kinds."""
-    suffix, data = path.suffix.lower(), _beginning(path)
-    if not data:
-        raise PageError(f"{path} is empty: give another file")
-    if suffix in _BRF:
-        return FileKind.BRF
-    if _format_of(path) is not None:
-        return FileKind.STRUCTURED
-    is_text = data.translate(None, _NO_TEXT) == data and b"%PDF-" not in data
-    is_text |= suffix == ".txt" or _UTF16.match(data) is not None
-    return FileKind.TEXT if is_text else FileKind.PAGES
+    return _kind_and_format(path)[0]
 
 
 def read_plain_text(path: Path) -> str:
@@ -107,10 +99,15 @@ def read_document_text(path: Path, note: Callable[[str], None]) -> str:
     an empty cell is a hyphen. ``note`` receives a sentence for each kind of omitted content. No
     other files are opened, and no scripts are run.
     """
-    kind, program = str(_format_of(path)), shutil.which("pandoc")
+    kind, program = _kind_and_format(path)[1], shutil.which("pandoc")
     if program is None:
         raise PageError(f"{path}: this kind of document needs pandoc: {INSTALL}")
-    data, embedded, heads = _prepared(path, kind)
+    data = read_bytes(path, PageError, MOST_BYTES)
+    if data.startswith(b"PK"):
+        data, contents = _repacked(path)
+    else:
+        data = decoded(data, path, PageError).encode()
+        contents = [data]
     command = [program, "+RTS", f"-M{_MEMORY}", "-RTS", "--sandbox", "-f", kind, "-t", "plain",
                "--wrap=none", f"--lua-filter={_FILTER}"]  # fmt: skip
     try:
@@ -126,36 +123,39 @@ def read_document_text(path: Path, note: Callable[[str], None]) -> str:
     text, _, notes = done.stdout.decode("utf-8").rpartition("\f")
     for words in filter(None, notes.splitlines()):
         note(words)
-    if heads:
-        note("headers and footers of its pages are left out")
-    if embedded:
-        note(f"embedded objects (formulas, charts, text boxes, frames) are left out: {embedded}")
+    for words, element in _DROPPED.items():
+        pattern = re.compile(element, re.DOTALL | re.IGNORECASE)
+        if count := sum(len(pattern.findall(content)) for content in contents):
+            note(f"{words}: {count}")
     return "\n".join(filter(None, (" ".join(line.split()) for line in text.split("\n"))))
 
 
-def _format_of(path: Path) -> str | None:
-    """Return pandoc's name of a document's format, by content if possible; None if pandoc cannot
-    read it. Raises PageError for unsupported kinds."""
-    data, suffix = _beginning(path).removeprefix(codecs.BOM_UTF8), path.suffix.lower()
+def _kind_and_format(path: Path) -> tuple[FileKind, str]:
+    """Return the kind of a file, and pandoc's name of its format if pandoc reads it."""
+    suffix = path.suffix.lower()
+    with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
+        data = file.read(_BEGINNING_BYTES).removeprefix(codecs.BOM_UTF8)
+    if not data:
+        raise PageError(f"{path} is empty: give another file")
+    if suffix in _BRF:
+        return FileKind.BRF, ""
+    is_text = data.translate(None, _NO_TEXT) == data and b"%PDF-" not in data
+    is_text |= suffix == ".txt" or _UTF16.match(data) is not None
+    kind = "" if b"\0" in data else _BY_NAME.get(suffix, "")
     if data.startswith(b"PK\x03\x04"):
         with _opened(path) as packed:
-            names = packed.namelist()
-            if "mimetype" in names:
-                names.append("mimetype" + packed.read("mimetype").decode("ascii", "replace"))
-        kinds = [kind for start, kind in _IN_ZIP.items() if any(n.startswith(start) for n in names)]
-        kind = [*kinds, "a packed file (ZIP)"][0]
-    elif re.match(_HTML, data, re.IGNORECASE | re.DOTALL):
-        kind = _BY_NAME[".html"]
-    else:
-        kinds = [
-            kind for kind, start in _FOREIGN.items()
-            if suffix != ".txt" and re.match(start, data, re.IGNORECASE | re.DOTALL)
-        ]  # fmt: skip
-        kind = [*kinds, "" if b"\x00" in data else _BY_NAME.get(suffix, "")][0]
-    if " " in kind:
-        remedy = "save it as PDF, DOCX, plain text or .brf"
-        raise PageError(f"{path} is {kind}, which is not read: {remedy}")
-    return kind or None
+            mimetype = packed.read("mimetype") if "mimetype" in packed.namelist() else b""
+            data = "\n".join(["PK\x03\x04", *packed.namelist(), "mimetype"]).encode() + mimetype
+    if not kind:
+        flags = re.IGNORECASE | re.DOTALL
+        kinds = (kind for start, kind in _KINDS.items() if re.match(start, data, flags))
+        kind = next(kinds, "")
+    if kind and " " not in kind:
+        return FileKind.STRUCTURED, kind
+    if not kind or (suffix == ".txt" and not data.startswith(b"PK")):
+        return FileKind.TEXT if is_text else FileKind.PAGES, ""
+    remedy = "save it as PDF, DOCX, plain text or .brf"
+    raise PageError(f"{path} is {kind}, which is not read: {remedy}")
 
 
 @contextmanager
@@ -168,33 +168,18 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
         raise PageError(f"{path} is damaged or locked ({error}): save it again") from None
 
 
-def _prepared(path: Path, kind: str) -> tuple[bytes, int, int]:
-    """Prepare a document for pandoc; return it with the numbers of embedded objects and of headers
-    and footers with text.
-
-    Raises PageError if it is not in UTF-8, or too large when unpacked.
-    """
-    data = read_bytes(path, PageError, MOST_BYTES)
-    if not data.startswith(b"PK"):
-        return decoded(data, path, PageError).encode(), len(_EMBEDDED.findall(data)), 0
-    embedded, heads, file = 0, 0, io.BytesIO()
-    mark = b"(embedded object)" if kind == "odt" else rb"\g<0>"
+def _repacked(path: Path) -> tuple[bytes, list[bytes]]:
+    """Return a packed document as pandoc reads it best, and the contents of its members."""
+    file = io.BytesIO()
     with _opened(path) as packed, zipfile.ZipFile(file, "w") as copy:
-        size = sum(member.file_size for member in packed.infolist())
-        if size > MOST_UNPACKED_BYTES:
-            limit = f"the limit of {MOST_UNPACKED_BYTES // 10**6}: give a smaller document"
-            raise PageError(f"{path} would unpack to {size // 10**6} MB, above {limit}")
-        for member in packed.infolist():
-            content = packed.read(member)
-            if member.filename in ("word/document.xml", "content.xml"):
-                content, embedded = _EMBEDDED.subn(mark, content)
-                # pandoc drops the header rows of tables in ODT.
-                content = re.sub(rb"</?table:table-header-rows[^>]*>", b"", content)
-            heads += len(_HEADS.findall(content))
+        if sum(member.file_size for member in packed.infolist()) > MOST_UNPACKED_BYTES:
+            limit = f"{MOST_UNPACKED_BYTES // 10**6} MB: give a smaller document"
+            raise PageError(f"{path} would unpack to more than {limit}")
+        contents = [packed.read(member) for member in packed.infolist()]
+        for member, content in zip(packed.infolist(), contents, strict=True):
+            if member.filename == "content.xml":
+                # pandoc drops these objects, and the heads of an ODT's tables.
+                marked = _OBJECT.sub(b"(embedded object)", content)
+                content = re.sub(rb"</?table:table-header-rows[^>]*>", b"", marked)
             copy.writestr(member, content)
-    return file.getvalue(), embedded, heads
-
-
-def _beginning(path: Path) -> bytes:
-    with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
-        return file.read(_BEGINNING_BYTES)
+    return file.getvalue(), contents

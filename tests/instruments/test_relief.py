@@ -17,7 +17,7 @@ from ..support.full import sample
 from .conftest import grating_file, object_file
 
 ONE = np.zeros((1, 2))
-SCALE = "dpi or width_mm"
+SCALE = "dpi or "
 WIDE_MM = 20.0  # grain beyond which the ridges of a grating are silent along themselves
 
 

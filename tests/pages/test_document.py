@@ -336,7 +336,7 @@ def test_images_that_are_no_pages(put, side, attributes):
 
 
 @pytest.mark.parametrize(("options", "value"), [
-    ({"dpi": 300, "page_width_mm": 5}, ("dpi", "page_width_mm")), ({"dpi": 0}, 0),
+    ({"dpi": 300, "page_width_mm": 5}, ("dpi", "width")), ({"dpi": 0}, 0),
     ({"dpi": math.nan}, math.nan), ({"page_width_mm": -5}, -5),
     ({"dpi": 0.1}, pytest.approx((20_320, 15_240))),
     ({"dpi": 1e5}, pytest.approx((0.02032, 0.01524))),

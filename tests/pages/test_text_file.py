@@ -210,7 +210,7 @@ def test_headers_and_footers_are_named(tmp_path, kind, member, text):
     with zipfile.ZipFile(path, "a") as packed:
         packed.writestr(member, text)
     notes = read(path)[1]
-    assert notes == ["headers and footers of its pages are left out"] * ("Mill" in text)
+    assert notes == ["headers and footers of its pages are left out: 1"] * ("Mill" in text)
 
 
 @needs_pandoc
