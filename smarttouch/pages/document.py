@@ -122,9 +122,7 @@ class Document(Closing):
             grey = to_grey(read_pixels(image))
             across, down = map(float, image.info.get("dpi") or (0, 0))
         height, width = grey.shape
-        is_believed = (
-            across >= _LEAST_BELIEVED_DPI and across != 72 and round(across) == round(down)
-        )
+        is_believed = round(across) == round(down) and 72 != across >= _LEAST_BELIEVED_DPI
         dpi = self._dpi or (across if is_believed else 0)
         width_mm = self._page_width_mm or (width / dpi * INCH_MM if dpi else 0)
         if not width_mm:
@@ -137,9 +135,8 @@ class Document(Closing):
 
     def _pdf_page(self, sheet: "pypdfium2.PdfPage", name: str, printed: int) -> Page:
         signs = list(_signs(sheet, printed))
-        turns = Counter(sign.turn_deg for sign in signs)
-        turn_deg = max(turns, key=lambda turn: turns[turn], default=0)
-        if turn_deg and turns[turn_deg] > _STAMP:
+        [(turn_deg, count)] = Counter(sign.turn_deg for sign in signs).most_common(1) or [(0, 0)]
+        if turn_deg and count > _STAMP:
             sheet.set_rotation((sheet.get_rotation() + turn_deg) % 360)
             signs = list(_signs(sheet, printed))
         width, height = sheet.get_size()
