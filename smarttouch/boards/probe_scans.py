@@ -18,6 +18,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 PROBE_MA = 0.5
 PROBE_US = 50
+_DISCHARGE_US = 100
 _STEPS = 20
 _SLOWEST_US = 20_000  # period that gives each board time to answer
 _SWITCHING_US = 30  # largest additional time of a slot by switching
@@ -58,72 +59,47 @@ def measure_by_probes(
 def probe_sequences(
     limits: SafetyLimits, output: Output | None, *, in_pairs: bool
 ) -> Iterator[ScanSequence]:
-    """Yield scans that rise from zero to `PROBE_MA`, without masked electrodes. The last scan is
-    the measurement. The rise is within the ramp if each scan is delivered completely."""
+    """Yield scans that rise from zero to `PROBE_MA`; the last one is the measurement.
+
+    Each slot drives an electrode against all others, or in pairs against one near it, so that each
+    electrode carries equal charges of both signs in a scan. Masked electrodes carry nothing, as an
+    open one would saturate the voltage. The rise is within the ramp if each scan is delivered
+    completely.
+    """
     most_ma = min(limits.current_ma, limits.full_ma, *(limits.electrode_ma or ()))
     peak_ma = min(PROBE_MA, 0.9 * most_ma)
     if peak_ma < 0.02:
         raise BoardError(f"the limits allow {peak_ma * 1000:.0f} µA: too little to measure with")
-    top = peak_ma / limits.full_ma
+    top, sites = peak_ma / limits.full_ma, np.delete(np.arange(limits.electrodes), limits.masked)
+    turns = range(1, min(_PAIRS, len(sites) // 2) + 1) if in_pairs else [1]
+    driven = np.tile(sites, len(turns))
+    returns = [back for turn in turns for back in np.roll(sites, -turn)[:, None]]
+    if not in_pairs:
+        # Start at the driven electrode: the next ones carry the rounding remainder.
+        returns = [np.roll(sites, -at)[1:] for at in range(len(sites))]
+    slot_us = max(PROBE_US + _DISCHARGE_US, int(np.ceil(PROBE_US / limits.duty))) + _SWITCHING_US
     # Only passes with current count toward the ramp.
     step_us = max(_SLOWEST_US, int(np.ceil(1.05e6 * limits.ramp_s * top / _STEPS)))
-    cathodic = output is None or "cathodic" in output.polarities
-    time_ns = 0
+    period_us = max(step_us, int(np.ceil(1e6 / limits.rate_hz)), len(driven) * slot_us)
+    sign = 1 if output is None or "cathodic" in output.polarities else -1
     for step in range(_STEPS + 1):
-        part = step / _STEPS
-        probe = one_each(
-            limits, round(1000 * peak_ma * part), PROBE_US, top * part, time_ns, cathodic=cathodic,
-            period_us=step_us, in_pairs=in_pairs,
-        )  # fmt: skip
-        yield probe
-        time_ns += 1000 * probe.period_us
-
-
-def one_each(
-    limits: SafetyLimits,
-    level_ua: int,
-    width_us: int,
-    intensity: float,
-    time_ns: int,
-    *,
-    cathodic: bool,
-    sites: list[int] | None = None,
-    discharge_us: int = 100,
-    period_us: int = 0,
-    in_pairs: bool = False,
-) -> ScanSequence:
-    """Return a scan with a slot for each site (default: all that are not masked), with ``level_ua``
-    through it and equal returns through the others. At level 0 there are no slots. Masked
-    electrodes carry nothing, as an open one would saturate the voltage. In pairs, a single near
-    site returns the current, so that each site carries equal charges of both signs in a scan."""
-    electrodes, masked = limits.electrodes, limits.masked
-    unmasked = np.delete(np.arange(electrodes), masked).tolist()
-    driven = (unmasked if sites is None else sites) if level_ua else []
-    if in_pairs:
-        strides = range(1, min(_PAIRS, len(driven) // 2) + 1)
-        returns = [[site] for stride in strides for site in np.roll(driven, -stride).tolist()]
-        driven = driven * len(strides)
-    else:
-        # Start at the driven electrode: the next ones carry the rounding remainder.
-        others = [[(site + step) % electrodes for step in range(1, electrodes)] for site in driven]
-        returns = [[other for other in neighbors if other not in masked] for neighbors in others]
-    currents = np.zeros((len(driven), electrodes), np.int16)
-    for current, site, back in zip(currents, driven, returns, strict=True):
-        share, rest = divmod(level_ua, len(back))
-        current[back] = -share
-        current[back[:rest]] -= 1
-        current[site] = level_ua
-    slots = len(currents)
-    slot_us = max(width_us + discharge_us, int(np.ceil(width_us / limits.duty))) + _SWITCHING_US
-    return ScanSequence(
-        current_ua=currents if cathodic else -currents,
-        width_us=np.full(slots, width_us, np.uint16),
-        discharge_us=np.full(slots, discharge_us, np.uint16),
-        site=np.asarray(driven, np.uint16),
-        period_us=max(period_us, int(np.ceil(1e6 / limits.rate_hz)), slots * slot_us),
-        intensity=intensity if slots else 0.0,
-        time_ns=time_ns,
-    )
+        level_ua = round(1000 * peak_ma * step / _STEPS)
+        slots = len(driven) if level_ua else 0
+        currents = np.zeros((slots, limits.electrodes), np.int16)
+        for current, site, back in zip(currents, driven, returns, strict=False):
+            share, rest = divmod(level_ua, len(back))
+            current[back] = -share
+            current[back[:rest]] -= 1
+            current[site] = level_ua
+        yield ScanSequence(
+            current_ua=sign * currents,
+            width_us=np.full(slots, PROBE_US, np.uint16),
+            discharge_us=np.full(slots, _DISCHARGE_US, np.uint16),
+            site=driven[:slots].astype(np.uint16),
+            period_us=period_us,
+            intensity=top * step / _STEPS,
+            time_ns=1000 * step * period_us,
+        )
 
 
 def _from_pairs(probe: ScanSequence, volts: Array, compliance_v: float) -> Impedance:

@@ -17,7 +17,6 @@ from smarttouch.base.errors import BoardRestartedError
 from smarttouch.base.posix import prioritized
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import make_board
-from smarttouch.boards.probe_scans import one_each
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
@@ -27,6 +26,7 @@ from tests.boards.fresh import fresh_state, starter
 from ..safety.bounds import WHOLE as WHOLE_RISE
 from ..safety.bounds import Bounds
 from ..support.processes import emulator
+from ..support.scans import one_each
 
 SECOND = 10**9
 

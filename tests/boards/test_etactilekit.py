@@ -11,13 +11,13 @@ import pytest
 
 from smarttouch.base.errors import BoardError, LineLostError
 from smarttouch.boards.kits.etactilekit_line import LOAD
-from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.skin import EmulatedFinger
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.manual_kit import MS, ManualKit, proved
 
 from ..support.checks import raises
 from ..support.full import WHOLE
+from ..support.scans import one_each
 
 PATTERNS = 150 if WHOLE else 50
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)

@@ -23,7 +23,6 @@ from smarttouch.boards.kits.etactilekit_line import (
     zero_anywhere,
 )
 from smarttouch.boards.open import make_board
-from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
@@ -34,6 +33,7 @@ from tests.boards.manual_kit import ManualKit
 
 from ..support.checks import raises
 from ..support.full import WHOLE, sample
+from ..support.scans import one_each
 
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
 # Left by hosts before: pulses of a milliampere on all electrodes, sense pulses, half commands.

@@ -11,9 +11,9 @@ from smarttouch.boards.board import Board
 from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
 from smarttouch.boards.link import MessageKind
 from smarttouch.boards.open import MemoryDriver, make_board
-from smarttouch.boards.probe_scans import one_each
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
+from ..support.scans import one_each
 from .fresh import deliver, until
 from .manual_kit import ManualClock
 

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from smarttouch.base.errors import BoardError
 from smarttouch.boards.kits import BAND, NOMINAL_UA, measured_scale
 from smarttouch.boards.open import make_board
-from smarttouch.boards.probe_scans import judge, measure_by_probes, one_each, probe_sequences
+from smarttouch.boards.probe_scans import judge, measure_by_probes, probe_sequences
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile import load_profile
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from ..support.checks import raises
+from ..support.scans import one_each
 
 KINDS = tuple(NOMINAL_UA)
 ELECTRODES = {"kajimoto61": 61, "etactilekit": 8}
@@ -145,14 +146,17 @@ def test_limits_too_low_to_measure_are_named():
         next(probe_sequences(limits, None, in_pairs=True))
 
 
-@given(masked=st.sets(st.integers(0, 7), max_size=6), level=st.integers(1, 2000))
-def test_masked_electrodes_are_no_returns(masked, level):
-    limits = replace(LIMITS, masked=tuple(masked))
-    scan = one_each(limits, level, 50, 1.0, 0, cathodic=True)
-    assert scan.slots == 8 - len(masked)
+@given(masked=st.sets(st.integers(0, 7), max_size=6), in_pairs=st.booleans())
+def test_masked_electrodes_carry_nothing(masked, in_pairs):
+    limits, gate = replace(LIMITS, masked=tuple(masked)), SafetyGate(LIMITS)
+    *rising, scan = map(gate.check, probe_sequences(limits, None, in_pairs=in_pairs))
+    assert (rising[0].slots, max(each.current_ua.max(initial=0) for each in rising)) == (0, 475)
+    assert scan.slots == (8 - len(masked)) * (min(4, (8 - len(masked)) // 2) if in_pairs else 1)
     assert not scan.current_ua[:, sorted(masked)].any()
-    assert not scan.current_ua.sum(axis=1).any()
-    assert (scan.current_ua.max(axis=1) == level).all()
+    assert (scan.current_ua[np.arange(scan.slots), scan.site] == 500).all()
+    assert ((scan.current_ua < 0).sum(axis=1) == (1 if in_pairs else 7 - len(masked))).all()
+    if in_pairs:
+        assert not scan.current_ua.sum(axis=0).any()
 
 
 def measured(kohm):

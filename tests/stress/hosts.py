@@ -34,13 +34,13 @@ from smarttouch.base.errors import (
 )
 from smarttouch.boards import kits
 from smarttouch.boards.open import make_board
-from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.device_lines import PtyLine
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, DeviceClock
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 SIGNALS = {"kill": signal.SIGKILL, "freeze": signal.SIGSTOP}
@@ -140,6 +140,18 @@ class PlayedBoard:
         }  # fmt: skip
 
 
+def anodic(limits, level_ua, intensity, time_ns, sites):
+    """Return a scan of anodic slots, each one electrode against all others."""
+    currents = np.full((len(sites), limits.electrodes), level_ua // (limits.electrodes - 1))
+    currents[np.arange(len(sites)), sites] = 0
+    currents[np.arange(len(sites)), sites] = -currents.sum(axis=1)
+    times_us = np.ones(len(sites), np.uint16)
+    return ScanSequence(
+        currents.astype(np.int16), 50 * times_us, 150 * times_us, np.array(sites, np.uint16),
+        int(1e6 * STEP_S), intensity if len(sites) else 0.0, time_ns,
+    )  # fmt: skip
+
+
 def drive_for_ever(board, limits):
     """Drive a board with a pattern that is never the same."""
     draw = random.Random(os.getpid())
@@ -148,10 +160,8 @@ def drive_for_ever(board, limits):
         while True:
             intensity = min(MOST, (now_ns - start_ns) / 1e9 / RISE_S)
             level = max(0, int(intensity * 2800) - draw.randrange(20))
-            sequence = one_each(
-                limits, level, 50, intensity, now_ns, cathodic=False, discharge_us=150,
-                period_us=20_000, sites=draw.sample(range(limits.electrodes), 6),
-            )  # fmt: skip
+            sites = draw.sample(range(limits.electrodes), 6) if level else []
+            sequence = anodic(limits, level, intensity, now_ns, sites)
             # Repeated for a second, so that only what is shown here ends it.
             try:
                 board.send(sequence, 50)
@@ -184,10 +194,8 @@ def gone_run(kind, how, opening, at_s):
 def send(board, limits, step, times=1):
     """Send the points of a step of the rise; return the next step."""
     intensity = min(MOST, step * STEP_S / RISE_S)
-    sequence = one_each(
-        limits, int(0.9 * intensity * 2800), 50, intensity, time.monotonic_ns(), cathodic=False,
-        discharge_us=150, period_us=int(1e6 * STEP_S), sites=[1, 3, 5, 7],
-    )  # fmt: skip
+    sites = [1, 3, 5, 7] if step else []
+    sequence = anodic(limits, int(0.9 * intensity * 2800), intensity, time.monotonic_ns(), sites)
     board.send(sequence, times)
     time.sleep(STEP_S)
     return step + 1

@@ -94,3 +94,31 @@ def open_level(send, like, limits, time_ns=0, clock=None, electrodes=(0, 1)):
                     one, current_ua=current, intensity=share, time_ns=time_ns + 1 + step * LATE_NS
                 )
             )
+
+
+def one_each(
+    limits, level_ua, width_us, intensity, time_ns, *, cathodic, sites=None, discharge_us=100,
+    period_us=0,
+):  # fmt: skip
+    """Return a scan of one slot for each site, by default each that is not masked: it carries
+    ``level_ua``, and all others that are not masked return it equally. At level 0 there is none."""
+    unmasked = np.delete(np.arange(limits.electrodes), limits.masked)
+    sites = np.asarray(unmasked if sites is None else sites, np.uint16)[: None if level_ua else 0]
+    currents = np.zeros((len(sites), limits.electrodes), np.int16)
+    for current, site in zip(currents, sites, strict=True):
+        back = np.roll(unmasked, -np.searchsorted(unmasked, site))
+        back = back[back != site]
+        share, rest = divmod(level_ua, len(back))
+        current[back] = -share
+        current[back[:rest]] -= 1
+        current[site] = level_ua
+    slot_us = max(width_us + discharge_us, math.ceil(width_us / limits.duty)) + 30
+    return ScanSequence(
+        current_ua=currents if cathodic else -currents,
+        width_us=np.full(len(sites), width_us, np.uint16),
+        discharge_us=np.full(len(sites), discharge_us, np.uint16),
+        site=sites,
+        period_us=max(period_us, math.ceil(1e6 / limits.rate_hz), len(sites) * slot_us),
+        intensity=intensity if len(sites) else 0.0,
+        time_ns=time_ns,
+    )
