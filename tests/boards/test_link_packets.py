@@ -70,12 +70,6 @@ def test_switched_survives_the_wire(output, current):
     np.testing.assert_array_equal(wire.source_ua, np.maximum(current, 0).sum(axis=1))
 
 
-def test_a_source_beyond_the_wire_is_refused_and_never_wraps():
-    current = np.array([[5000] * 14 + [-5000] * 14], np.int16)
-    with raises(BoardError, value=70.0, allowed=65.5, slot=0):
-        sequence_payload("three-state", 9000, *columns(current), current)
-
-
 def test_a_slot_beyond_the_room_of_a_packet_is_refused():
     column = np.full(600, 100, np.uint16)
     current = np.zeros((600, 1024), np.int16)

@@ -21,17 +21,14 @@ NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
 """Current per count of each board's converter; 4096 counts of the kajimoto61 are 10 mA."""
 
 
-def scale_of(kind: str, measured_ua: float | None) -> float:
-    """Return the current per count of a kind of board, µA. Raises BoardError if a measured one
-    deviates too much."""
-    nominal_ua = NOMINAL_UA[kind]
-    if measured_ua is not None and not in_band(measured_ua / nominal_ua):
+def require_in_band(ratio: float, what: str) -> None:
+    """Raise BoardError if a scale is too far from the nominal one, by their ratio."""
+    if not abs(ratio - 1) <= BAND + 1e-9:
         raise BoardError(
-            f"output.ua_per_count = {measured_ua:g} is {measured_ua / nominal_ua:.3g} times the "
-            f"{nominal_ua:.4g} µA of a {kind} board, and boards differ by {100 * BAND:.0f} % at "
-            "most: check profile and unit, and measure it again (smarttouch calibrate scale)"
+            f"{what} would be {ratio:.3g} times the nominal current, and boards differ by "
+            f"{100 * BAND:.0f} % at most: check units, connections, the resistor, and which board "
+            "this is, then measure again (smarttouch calibrate scale)"
         )
-    return nominal_ua if measured_ua is None else measured_ua
 
 
 def require_kit(kind: str, port: str, output: Output | None, profile: str) -> float:
@@ -44,7 +41,11 @@ def require_kit(kind: str, port: str, output: Output | None, profile: str) -> fl
             f"a {kind} board is one-against-all, but the profile needs {output.kind}: use profile "
             f"{profile}"
         )
-    return scale_of(kind, None if output is None else output.ua_per_count)
+    measured_ua = None if output is None else output.ua_per_count
+    if measured_ua is None:
+        return NOMINAL_UA[kind]
+    require_in_band(measured_ua / NOMINAL_UA[kind], f"output.ua_per_count = {measured_ua:g}")
+    return measured_ua
 
 
 def steps_of(
@@ -59,10 +60,6 @@ def steps_of(
     return np.minimum(np.rint(level_ua / (counts * scale_ua)), most).astype(np.int64)
 
 
-def in_band(ratio: float) -> bool:
-    return abs(ratio - 1) <= BAND + 1e-9
-
-
 def measured_scale(
     kind: str, before_ua: float | None, volts: float, ohm: float, current_ma: float
 ) -> tuple[float, float | None]:
@@ -73,16 +70,12 @@ def measured_scale(
         if not 0 < value < math.inf:
             raise BoardError(f"{what} {value:g} must be above 0 and finite")
     ratio = 1000 * volts / ohm / current_ma
-    if not in_band(ratio):
-        raise BoardError(
-            f"{volts:g} V across {ohm:g} ohm are {ratio:.3g} times the nominal {current_ma:g} mA, "
-            f"and boards differ by {100 * BAND:.0f} % at most: check units, connections, the "
-            "resistor, and which board this is"
-        )
+    require_in_band(ratio, f"{volts:g} V across {ohm:g} ohm")
     scale_ua = None if before_ua is None else before_ua * ratio
     if scale_ua is not None and kind in NOMINAL_UA:
         # Compare with the nominal scale, even if the profile has a measured one.
-        scale_of(kind, float(f"{scale_ua:.4g}"))
+        rounded_ua = float(f"{scale_ua:.4g}")
+        require_in_band(rounded_ua / NOMINAL_UA[kind], f"output.ua_per_count = {rounded_ua:g}")
     return ratio, scale_ua
 
 

@@ -260,23 +260,20 @@ class ETactileKitDriver(Driver):
         """Return the settings and the pattern for a sequence, the height of each output in counts.
         Raises BoardError if the board cannot make it."""
         electrode, current_ua = one_against_all(sequence)
-        if len(np.unique(np.sign(current_ua))) > 1:
-            raise BoardError(
-                "some slots are anodic, some cathodic, but this board has one polarity for all: "
-                "send them as two sequences"
-            )
+        for what, values in (
+            ("polarities", np.sign(current_ua)), ("pulse widths", sequence.width_us)
+        ):  # fmt: skip
+            if len(set(values.tolist())) > 1:
+                raise BoardError(
+                    f"slots have different {what} ({min(values)} and {max(values)}), but "
+                    "this board has one for all: send them as two sequences"
+                )
         width_us = int(sequence.width_us.max(initial=0))
-        if sequence.slots and np.ptp(sequence.width_us):
-            raise BoardError(
-                f"slots have {int(sequence.width_us.min())} to {width_us} µs in one sequence, but "
-                "this board has one pulse width for all"
-            )
-        if sequence.slots and width_us < SHORTEST_US:
-            raise BoardError(f"pulses of {width_us} µs are too short: at least {SHORTEST_US} µs")
         rest_us = int(sequence.discharge_us.max(initial=0))
-        if rest_us >= FIRST_COMMAND:
+        if rest_us >= FIRST_COMMAND or (sequence.slots and width_us < SHORTEST_US):
             raise BoardError(
-                f"a discharge of {rest_us} µs is too long: at most {FIRST_COMMAND - 1}"
+                f"this board makes no pulses of {width_us} µs with {rest_us} µs of discharge: at "
+                f"least {SHORTEST_US} and at most {FIRST_COMMAND - 1} µs"
             )
         rate_hz = max(1, round(1e6 / sequence.period_us))
         settings = Settings(width_us, rest_us, rate_hz, bool((current_ua < 0).any()))

@@ -103,17 +103,15 @@ class Kajimoto61Driver(Driver):
     def encode(self, sequence: ScanSequence) -> bytes:
         """Return the bytes of a sequence. Raises BoardError if the board cannot make it."""
         electrode, current_ua = one_against_all(sequence)
-        if (current_ua > 0).any():
-            slot = int((current_ua > 0).argmax())
+        width_us, discharge_us = sequence.width_us, sequence.discharge_us
+        wrong = (current_ua > 0) | (width_us != WIDTH_US) | (discharge_us > REST_US)
+        if wrong.any():
+            slot = int(wrong.argmax())
             raise BoardError(
-                f"slot {slot} is cathodic, but this board is anodic only: choose a mode that its "
-                "profile offers",
+                f"slot {slot} wants {-current_ua[slot]} µA anodic for {width_us[slot]} µs and "
+                f"{discharge_us[slot]} µs of discharge, but this board makes anodic pulses of "
+                f"{WIDTH_US} µs and grounds for {REST_US} µs: use its own profile",
                 slot=slot,
-            )
-        if (sequence.width_us != WIDTH_US).any() or (sequence.discharge_us > REST_US).any():
-            raise BoardError(
-                f"this board pulses for {WIDTH_US} µs and grounds for {REST_US} µs, the sequence "
-                f"wants {int(sequence.width_us[0])} and {int(sequence.discharge_us[0])}"
             )
         shortest = self.timing.shortest_period_us(0, sequence.slots, ELECTRODES, WIDTH_US, REST_US)
         if sequence.period_us < shortest:

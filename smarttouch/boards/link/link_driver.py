@@ -527,22 +527,18 @@ class LinkDriver(Driver):
 
     def status(self) -> BoardReport:
         """Return the board's report; latch the board if it reports current that was not sent."""
-        now, limits = self._account or self._ask_account(), self._limits
-        before = self._account_before
-        violations, slots = now[3] - before[3], now[1] - before[1]
+        now, before = self._account or self._ask_account(), self._account_before
+        limits = self._limits
         largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
-        fault = self._line.fault
-        if violations > self._unsafe_refused:
-            raise fault(
-                f"the board counted {violations} violations of its own rules, and refused "
-                f"{self._unsafe_refused} sequences for one"
-            )
-        if slots > self._slots_sent:
-            raise fault(f"the board delivered {slots} slots, but {self._slots_sent} were sent")
-        if now[4] > max(before[4], largest_ma):
-            raise fault(
-                f"the board delivered {now[4]:g} mA, above the {largest_ma:g} mA that may be sent"
-            )
+        for reported, allowed, unit in (
+            (now[3] - before[3], self._unsafe_refused, "sequences refused as unsafe"),
+            (now[1] - before[1], self._slots_sent, "slots"),
+            (now[4], max(before[4], largest_ma), "mA"),
+        ):
+            if reported > allowed:
+                raise self._line.fault(
+                    f"the board reports {reported:g} {unit}, more than the {allowed:g} possible"
+                )
         refused = max(0, sum(now[OLD_PACKETS]) - self._refused_before)
         return replace(
             BoardReport(*now[:7]), is_busy=bool(now[7]), refused_packets=refused,
