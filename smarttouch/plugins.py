@@ -8,9 +8,9 @@ from smarttouch.base.wire.port import open_port as open_port
 from smarttouch.base.wire.port import reason as reason
 from smarttouch.boards.driver import Driver as Driver
 from smarttouch.boards.driver import Line as Line
+from smarttouch.boards.impedance import Impedance as Impedance
 from smarttouch.boards.reports import BoardReport as BoardReport
 from smarttouch.boards.reports import Capabilities as Capabilities
-from smarttouch.boards.reports import Impedance as Impedance
 from smarttouch.profile.device import Output as Output
 from smarttouch.sources.force import ForceSource as ForceSource
 from smarttouch.sources.live_capture import ImageDevice as ImageDevice

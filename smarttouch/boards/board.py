@@ -28,13 +28,12 @@ from smarttouch.base.posix import prioritized
 from smarttouch.base.stopping import uninterrupted
 from smarttouch.base.wire.port import device_of
 from smarttouch.boards.driver import Driver, Line
-from smarttouch.boards.probe_scans import measure_by_probes
+from smarttouch.boards.impedance import Impedance, measure_by_probes
 from smarttouch.boards.reports import (
     LONGEST_REPEAT,
     BoardReport,
     Capabilities,
     HostStatistics,
-    Impedance,
     SequenceStart,
     find_latch,
     latch,
@@ -594,10 +593,7 @@ class Board:
         list of (ScanSequence, ndarray)
             A delivered sequence, and the voltage of its source at the end of each slot, (S,) V.
         """
-        volts = []
-        while self._volts:
-            volts.append(self._volts.popleft())
-        return volts
+        return [self._volts.popleft() for _ in range(len(self._volts))]
 
     @property
     def net_charge_pc(self) -> NDArray[np.int64]:

@@ -382,7 +382,7 @@ class Line:
     def started(self, proved: ProvedSequence, time_ns: int, board_us: int) -> None:
         """Report the start of a sequence, by `now_ns` and by the device's clock, µs."""
         starts = self.board._starts
-        starts[proved.number] = SequenceStart(proved.number, time_ns, board_us)
+        starts[proved.number] = SequenceStart(time_ns, board_us)
         self.board.acknowledged += 1
         if len(starts) > _MOST_STARTS:
             del starts[next(iter(starts))]

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from platformdirs import user_state_path
 
 from smarttouch.base.files import make_folder, write_bytes
@@ -83,15 +82,12 @@ class SequenceStart:
 
     Attributes
     ----------
-    number : int
-        Number of the sequence, from `Board.send`.
     time_ns : int
         Start by `Board.clock`; too late by the shortest delay of the line.
     board_us : int, µs
         Start by the board's clock, since it was switched on.
     """
 
-    number: int
     time_ns: int
     board_us: int
 
@@ -154,30 +150,6 @@ class HostStatistics:
             max_charge_uc=max(old.max_charge_uc, float(charges_pc.max(initial=0)) / 1e6),
             max_net_charge_uc=max(old.max_net_charge_uc, net_uc),
         )
-
-
-Condition = Literal["good", "open", "short", "unsure"]  # unsure if measurements disagree
-
-
-@dataclass(frozen=True, eq=False)
-class Impedance:
-    """Impedances of all electrodes, from one measurement."""
-
-    # (E,): voltage over current at the end of the measuring pulse, each electrode against the skin;
-    # infinite if the source was saturated
-    kohm: NDArray[np.float64]
-    condition: tuple[Condition, ...]
-    current_ma: float  # current of the measuring pulse
-
-    @property
-    def broken(self) -> tuple[int, ...]:
-        """Electrodes that are open or shorted."""
-        return tuple(i for i, name in enumerate(self.condition) if name in ("open", "short"))
-
-    @property
-    def lifted(self) -> bool:
-        """True if nothing touches the electrodes."""
-        return all(name == "open" for name in self.condition)
 
 
 # A fault latches a board: it cannot be opened until a person clears the fault. The record is a

@@ -25,7 +25,7 @@ from smarttouch.base.files import (
     write_bytes,
 )
 from smarttouch.boards.board import Board
-from smarttouch.boards.reports import Condition, Impedance
+from smarttouch.boards.impedance import Condition, Impedance
 from smarttouch.experiments.procedures import middle_and_spread
 from smarttouch.profile import ForceLaw, Profile, load_profile
 from smarttouch.profile.toml_files import difference, in_rows, profile_of, profile_path

@@ -13,13 +13,13 @@ from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Line
 from smarttouch.boards.link import Rule
 from smarttouch.boards.open import make_board
-from smarttouch.boards.probe_scans import probe_sequences
 from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_rules import BrokenRule, LinkRules
 from smarttouch.profile.device import Output
+from smarttouch.stimulation.probe_scans import probe_sequences
 from smarttouch.testing.driver_contract import (
     LATE_NS,
     DriverContract,

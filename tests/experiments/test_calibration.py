@@ -11,7 +11,7 @@ import pytest
 
 from smarttouch.base.errors import CalibrationError, LineLostError, ProfileError
 from smarttouch.base.files import data_folder
-from smarttouch.boards.reports import Impedance
+from smarttouch.boards.impedance import Impedance
 from smarttouch.experiments.calibration import (
     MOST_LOSSES,
     ProfileFile,

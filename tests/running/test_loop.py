@@ -425,7 +425,7 @@ class Scanning:
         if self.is_silent or self.starts.get(number, self.now_ns + 1) > self.now_ns:
             return None
         time_ns = self.starts[number] + 7 * MS
-        return SequenceStart(number, time_ns, time_ns // 1000)
+        return SequenceStart(time_ns, time_ns // 1000)
 
 
 def followed(delays_ns, first_ns=0, **kind):
