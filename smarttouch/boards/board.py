@@ -34,9 +34,7 @@ from smarttouch.boards.reports import (
     BoardReport,
     Capabilities,
     HostStatistics,
-    SequenceStart,
     find_latch,
-    latch,
 )
 from smarttouch.boards.shutdown import enter, leave
 from smarttouch.profile.device import Output
@@ -151,7 +149,7 @@ class Board:
         self._fault_found: BoardFaultError | None = None  # fault that latched the board
         self._opened_by = os.getpid()
         self._number = self._counted = 0
-        self._starts: dict[int, SequenceStart] = {}
+        self._starts: dict[int, tuple[int, int]] = {}
         self._volts: deque[Measured] = deque(maxlen=_MOST_VOLTS)
         self._statistics = HostStatistics(limits.electrodes)
         # shared with the sender thread
@@ -205,7 +203,7 @@ class Board:
             self._number = self._counted = 0
             self._statistics = HostStatistics(self._limits.electrodes)
             self._starts.clear()
-            self._open_driver(again=False)
+            self._open_driver()
             self._opened = True
             self._line.require_running()
         except BaseException:
@@ -216,8 +214,7 @@ class Board:
                 leave(self)
             raise
 
-    def _open_driver(self, *, again: bool) -> None:
-        self._line.reopened = again
+    def _open_driver(self) -> None:
         try:
             self.capabilities = can = self.driver.open(self._line, replace(self._limits))
             electrodes = self._limits.electrodes
@@ -257,7 +254,7 @@ class Board:
         self._close_driver()
         for left in reversed(range(RESTARTS)):
             try:
-                self._open_driver(again=True)
+                self._open_driver()
                 break
             except BoardStoppedError:
                 raise
@@ -322,20 +319,6 @@ class Board:
         with self._news:
             self._waiting = None
             self._news.notify_all()
-
-    def _latch(self, reason: str) -> BoardFaultError:
-        """Set the board to zero permanently and record its fault; return the error to raise."""
-        if self._fault_found is not None:
-            return self._fault_found
-        self._fault_found = BoardFaultError(
-            f"{reason}: the board is at zero and latched; have it checked, then clear it with "
-            "smarttouch devices clear"
-        )
-        with contextlib.suppress(BoardError):
-            self.halt()
-        if self.device is not None:
-            latch(self.device, reason)
-        return self._fault_found
 
     @property
     def device(self) -> str | None:
@@ -578,10 +561,15 @@ class Board:
         with self._news:
             return self._statistics.report
 
-    def start_of(self, number: int) -> SequenceStart | None:
+    def start_of(self, number: int) -> tuple[int, int] | None:
         """Return the start of a sequence, by the number from `send`.
 
-        None if the board has not reported it yet, never does, or did so more than some seconds ago.
+        Returns
+        -------
+        (int, int) or None
+            Start by `clock`, ns, too late by the shortest delay of the line; and by the board's
+            clock, µs since it was switched on. None if the board has not reported it yet, never
+            does, or did so more than some seconds ago.
         """
         return self._starts.get(number)
 

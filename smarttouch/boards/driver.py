@@ -31,7 +31,7 @@ from smarttouch.base.wire.port import (
     reopen_port,
     write_before,
 )
-from smarttouch.boards.reports import BoardReport, Capabilities, SequenceStart
+from smarttouch.boards.reports import BoardReport, Capabilities, latch
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence, ScanTiming
@@ -382,7 +382,7 @@ class Line:
     def started(self, proved: ProvedSequence, time_ns: int, board_us: int) -> None:
         """Report the start of a sequence, by `now_ns` and by the device's clock, µs."""
         starts = self.board._starts
-        starts[proved.number] = SequenceStart(time_ns, board_us)
+        starts[proved.number] = time_ns, board_us
         self.board.acknowledged += 1
         if len(starts) > _MOST_STARTS:
             del starts[next(iter(starts))]
@@ -408,7 +408,17 @@ class Line:
 
     def fault(self, reason: str) -> BoardFaultError:
         """Set the board to zero permanently, record its fault, and return the error to raise."""
-        return self.board._latch(reason)
+        board = self.board
+        if board._fault_found is None:
+            board._fault_found = BoardFaultError(
+                f"{reason}: the board is at zero and latched; have it checked, then clear it with "
+                "smarttouch devices clear"
+            )
+            with contextlib.suppress(BoardError):
+                board.halt()
+            if board.device is not None:
+                latch(board.device, reason)
+        return board._fault_found
 
     # -- for the board -----------------------------------------------------
 

@@ -77,22 +77,6 @@ class Capabilities:
 
 
 @dataclass(frozen=True)
-class SequenceStart:
-    """Start of a sequence.
-
-    Attributes
-    ----------
-    time_ns : int
-        Start by `Board.clock`; too late by the shortest delay of the line.
-    board_us : int, µs
-        Start by the board's clock, since it was switched on.
-    """
-
-    time_ns: int
-    board_us: int
-
-
-@dataclass(frozen=True)
 class BoardReport:
     """Report of what a board has delivered since it was opened."""
 

@@ -288,10 +288,10 @@ class Program(Source, Listener):
                 )
         board, board_us = self._context.board, None
         if first is not None and (start := board.start_of(first)) is not None:
-            board_us = start.board_us
+            board_us = start[1]
             if not board.simulated_time:
                 # Convert between clocks: only the board's continues while the machine is suspended.
-                clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start.time_ns)
+                clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start[0])
         return Shown(begun_ns, clock_ns, board_us, sequences, pulses, intensity, current_ma, 0.0)
 
     def wait(self, seconds: float, until: Callable[[], bool] | None = None) -> None:

@@ -269,7 +269,7 @@ class PhaseLock:
             if start is None:
                 continue
             self._pending.remove(earlier)
-            begun_ns = start.time_ns - earlier.ahead_ns
+            begun_ns = start[0] - earlier.ahead_ns
             waited_ns, number = begun_ns - earlier.sent_ns, earlier.number
             taken_ns = begun_ns - earlier.taken_ns
             self.newest = FirstPulse(number, taken_ns / 1000, waited_ns / 1000)

@@ -13,7 +13,6 @@ from smarttouch.base.events import BoardRestarted
 from smarttouch.base.posix import priority_advice
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.open import MemoryDriver, make_board
-from smarttouch.boards.reports import SequenceStart
 from smarttouch.running.config import RunConfig
 from smarttouch.running.loop import Controls, ControlState, Loop
 from smarttouch.running.pipeline import Pipeline
@@ -425,7 +424,7 @@ class Scanning:
         if self.is_silent or self.starts.get(number, self.now_ns + 1) > self.now_ns:
             return None
         time_ns = self.starts[number] + 7 * MS
-        return SequenceStart(time_ns, time_ns // 1000)
+        return time_ns, time_ns // 1000
 
 
 def followed(delays_ns, first_ns=0, **kind):

@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,6 @@ PAUSED_S = 1.0  # time for which a pause of this computer explains refusals
 LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
 AFTER_ZERO_S = 0.02  # wait after a stop, a period at 50 Hz, in which no slot may be counted
-OLD_PACKETS = slice(8, 10)  # in REPORT: refused packets, old ones and those of another session
 MOST_COMPLIANCES = (
     2.1  # largest voltage of a slot: sources of both poles reach twice the compliance
 )
@@ -301,8 +300,8 @@ class LinkDriver(Driver):
         self._output, self._limits = output, limits
         self.can: Capabilities | None = None  # known after CAPABILITIES
         self._number = 0
-        self._account: tuple[Any, ...] | None = None  # REPORT of the stopped board
-        self._account_before: tuple[Any, ...] = ()  # REPORT at the last opening
+        self._last_report: BoardReport | None = None  # of the stopped board
+        self._report: BoardReport  # at the last opening
         self._refused_before = 0  # packets refused before the first opening
         self._slots_sent = 0  # since the last opening, including repetitions
         self._unsafe_refused = 0  # refused sequences; repeated ones may count twice
@@ -325,10 +324,10 @@ class LinkDriver(Driver):
         if limited.payload != b"\1":
             raise self._malformed()
         self._give_kernels()
-        self._account_before, self._account = self._ask_account(), None
+        self._report, self._last_report = self._ask_report(), None
         self._slots_sent = self._unsafe_refused = 0
         if not line.reopened:
-            self._refused_before = sum(self._account_before[OLD_PACKETS])
+            self._refused_before = self._report.refused_packets
         assert self.can is not None
         return self.can
 
@@ -386,14 +385,14 @@ class LinkDriver(Driver):
                 raise
             return
         try:
-            slots = self._ask_account()[1]
+            slots = self._ask_report().slots
             with session.news:
                 session.wait(lambda: False, AFTER_ZERO_S)
-            self._account = self._ask_account()
+            self._last_report = self._ask_report()
         except BoardError:
             # The board has confirmed zero, so the state of the line does not matter.
             return
-        if self._account[1] != slots:
+        if self._last_report.slots != slots:
             raise self._line.fault("the board delivered pulses after it had confirmed zero")
 
     def close(self) -> None:
@@ -516,34 +515,31 @@ class LinkDriver(Driver):
             "its firmware"
         )
 
-    def _ask_account(self) -> tuple[Any, ...]:
-        """Query a REPORT: counts, mA and µC, in the order of `protocol.REPORT`."""
+    def _ask_report(self) -> BoardReport:
+        """Query a REPORT, with all packets that the board has refused."""
         answer = self._session.ask(MessageKind.STATUS)
         if len(answer.payload) != protocol.REPORT.size:
             raise self._malformed()
         fields = protocol.REPORT.unpack(answer.payload)
-        strongest_ua, charge_pc, net_pc = fields[4:7]
-        return (*fields[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6, *fields[7:])
+        strongest_ua, charge_pc, net_pc, busy, old, foreign = fields[4:10]
+        counted = *fields[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6
+        return replace(BoardReport(*counted), refused_packets=old + foreign, is_busy=bool(busy))
 
     def status(self) -> BoardReport:
         """Return the board's report; latch the board if it reports current that was not sent."""
-        now, before = self._account or self._ask_account(), self._account_before
-        limits = self._limits
+        now, before, limits = self._last_report or self._ask_report(), self._report, self._limits
         largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
         for reported, allowed, unit in (
-            (now[3] - before[3], self._unsafe_refused, "sequences refused as unsafe"),
-            (now[1] - before[1], self._slots_sent, "slots"),
-            (now[4], max(before[4], largest_ma), "mA"),
+            (now.violations - before.violations, self._unsafe_refused, "unsafe sequences"),
+            (now.slots - before.slots, self._slots_sent, "slots"),
+            (now.max_current_ma, max(before.max_current_ma, largest_ma), "mA"),
         ):
             if reported > allowed:
                 raise self._line.fault(
                     f"the board reports {reported:g} {unit}, more than the {allowed:g} possible"
                 )
-        refused = max(0, sum(now[OLD_PACKETS]) - self._refused_before)
-        return replace(
-            BoardReport(*now[:7]), is_busy=bool(now[7]), refused_packets=refused,
-            refused_by_host=self._session.refused,
-        )  # fmt: skip
+        refused = max(0, now.refused_packets - self._refused_before)
+        return replace(now, refused_packets=refused, refused_by_host=self._session.refused)
 
     # -- packets of the board ----------------------------------------------
 

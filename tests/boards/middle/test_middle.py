@@ -229,8 +229,8 @@ def test_starts_are_by_the_boards_clock_however_late_an_answer_comes(world, boar
     lose(world, "to_host", MessageKind.ACK)
     send(board, 2)
     starts = [board.start_of(number) for number in (1, 2, 3)]
-    assert [each.board_us for each in starts] == [time_us for _, _, time_us in world.books.kept]
-    (delay_ns,) = {each.time_ns - 1000 * each.board_us for each in starts}
+    assert [board_us for _, board_us in starts] == [time_us for _, _, time_us in world.books.kept]
+    (delay_ns,) = {time_ns - 1000 * board_us for time_ns, board_us in starts}
     assert 0 <= delay_ns <= 2_000_000
     assert board.start_of(4) is None
 
