@@ -1,17 +1,15 @@
-"""Boards by URL, and a driver that stores sequences in memory."""
+"""Boards by URL."""
 
 from dataclasses import replace
 from typing import Any
 
 from smarttouch.base.errors import BoardError
-from smarttouch.base.urls import Registry, read_options, refuse_rest
+from smarttouch.base.urls import Registry, read_options
 from smarttouch.boards.board import Board
-from smarttouch.boards.driver import Driver, Line
-from smarttouch.boards.reports import Capabilities
+from smarttouch.boards.driver import Driver
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
-from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 BOARDS = Registry(
     "smarttouch.boards",
@@ -22,7 +20,7 @@ BOARDS = Registry(
         "etactilekit": "smarttouch.boards.kits.etactilekit:ETactileKitDriver",
         "kajimoto61": "smarttouch.boards.kits.kajimoto61:Kajimoto61Driver",
         "link": "smarttouch.boards.link.link_driver:LinkDriver",
-        "memory": "smarttouch.boards.open:MemoryDriver",
+        "memory": "smarttouch.emulator.emulated_boards:MemoryDriver",
         "simulated": "smarttouch.emulator.emulated_boards:SimulatedDriver",
     },
 )
@@ -56,30 +54,3 @@ def may_touch_a_finger(url: str) -> bool:
 def default_profile(url: str) -> str:
     """Return the name of the default profile for a board's URL."""
     return str(getattr(BOARDS.find(url)[0], "default_profile", DEFAULT_PROFILE))
-
-
-class MemoryDriver(Driver):
-    """Driver without a device, which stores all ``sequences`` since it was opened: ``memory:``."""
-
-    def __init__(
-        self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
-    ) -> None:
-        refuse_rest("memory:", rest, BoardError)
-        self._kind = "weighted" if output is None else output.kind
-        self.sequences: list[ScanSequence] = []
-
-    def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
-        self._line = line
-        if not line.reopened:
-            self.sequences.clear()
-        return Capabilities(
-            limits.electrodes, self._kind, limits.current_ma, max_slots=0xFFFF,
-            time_to_zero_ms=0.0, firmware="memory", recharges=self._kind == "weighted",
-        )  # fmt: skip
-
-    def write(self, proved: ProvedSequence) -> None:
-        with self._line.current(proved):
-            self.sequences.append(proved.sequence)
-
-    def zero(self) -> None:
-        """Do nothing, as there is no current."""

@@ -1,4 +1,4 @@
-"""Drivers of emulated boards: in this process with simulated time, or in their own process."""
+"""Drivers of boards without hardware: emulated in this process or their own, or in memory."""
 
 import select
 import subprocess
@@ -17,7 +17,7 @@ from smarttouch.base.errors import BoardError
 from smarttouch.base.posix import HAS_POSIX
 from smarttouch.base.urls import refuse_rest
 from smarttouch.boards import link as protocol
-from smarttouch.boards.driver import Line
+from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.link import MessageKind
 from smarttouch.boards.link.link_driver import LinkDriver, LinkSession
 from smarttouch.boards.reports import Capabilities
@@ -27,6 +27,7 @@ from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_rules import Room
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 _BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest pause between packets of the host
 _STEP_NS = 20_000  # time step of a wait for the sequence before
@@ -166,6 +167,33 @@ class SimulatedDriver(LinkDriver):
         # The lock makes a stop from another thread wait for the end of the sequence.
         with self._line.current():
             super().zero()
+
+
+class MemoryDriver(Driver):
+    """Driver without a device, which stores all ``sequences`` since it was opened: ``memory:``."""
+
+    def __init__(
+        self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
+    ) -> None:
+        refuse_rest("memory:", rest, BoardError)
+        self._kind = "weighted" if output is None else output.kind
+        self.sequences: list[ScanSequence] = []
+
+    def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
+        self._line = line
+        if not line.reopened:
+            self.sequences.clear()
+        return Capabilities(
+            limits.electrodes, self._kind, limits.current_ma, max_slots=0xFFFF,
+            time_to_zero_ms=0.0, firmware="memory", recharges=self._kind == "weighted",
+        )  # fmt: skip
+
+    def write(self, proved: ProvedSequence) -> None:
+        with self._line.current(proved):
+            self.sequences.append(proved.sequence)
+
+    def zero(self) -> None:
+        """Do nothing, as there is no current."""
 
 
 _STARTS_WITHIN_S = 30.0  # longest start of the process, on a busy computer

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.base.wire.framing import HEAD, WirePacket
 from smarttouch.boards.link import (
     ALIVE_MS,
     GOES_ON,
@@ -29,7 +30,7 @@ from smarttouch.boards.link import (
     Message,
     MessageKind,
     Refusal,
-    decode_head,
+    decode,
     digest_of,
     draw_half,
     encode,
@@ -39,6 +40,12 @@ MOST_HOSTS = 8  # number of hosts for which HELLO packets are remembered
 _MS = 1_000_000
 _PAIR = struct.Struct("<HH")
 _NOTHING = bytes(16)
+
+
+def decode_head(head: bytes) -> Message:
+    """Decode the first `WHOLE_HEAD_BYTES` of a message, before the CRC is known."""
+    version, kind, number = HEAD.unpack_from(head)
+    return decode(WirePacket(kind, number, head[HEAD.size :], version))
 
 
 def encode_volts(volts: NDArray[np.float64]) -> bytes:

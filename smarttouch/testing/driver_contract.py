@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from types import FrameType
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -149,7 +150,7 @@ class DriverContract:
         Number of lines of the driver's code at which a stop is tested.
     made : Driver
         The latest driver.
-    calls : list of (str, tuple)
+    calls : Mock
         Called methods of the driver, with their arguments.
     """
 
@@ -165,7 +166,7 @@ class DriverContract:
     keeps_order = counts_passes = shows_recharges = True
     instants = 20
     made: Driver
-    calls: list[tuple[str, tuple[Any, ...]]]
+    calls: Mock
 
     def make(self, limits: SafetyLimits) -> Driver:
         """Return a new closed driver; all drivers of a test share one device."""
@@ -208,23 +209,17 @@ class DriverContract:
         return SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 
     @pytest.fixture
-    def new_board(self, limits: SafetyLimits) -> Callable[[], Board]:
+    def new_board(self, limits: SafetyLimits) -> NewBoard:
         """Return a function that makes boards and records calls of their drivers."""
 
         def make() -> Board:
-            self.made, self.calls = self.make(limits), []
+            self.made, self.calls = self.make(limits), Mock()
             for name in ("open", "write", "zero", "close"):
-                setattr(self.made, name, self._kept(name, getattr(self.made, name)))
+                self.calls.attach_mock(Mock(wraps=getattr(self.made, name)), name)
+                setattr(self.made, name, getattr(self.calls, name))
             return self.board(self.made, limits)
 
         return make
-
-    def _kept(self, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
-        def called(*arguments: Any) -> Any:
-            self.calls.append((name, arguments))
-            return method(*arguments)
-
-        return called
 
     def sequence(
         self,
@@ -276,7 +271,7 @@ class DriverContract:
                 board.drain()
             assert (board.acknowledged, board.refused, board.replaced) == (5, 0, 0)
             assert board.report().violations == 0
-        assert [name for name, _ in self.calls].count("write") == 5
+        assert self.calls.write.call_count == 5
 
     def test_what_the_device_is_sent_is_what_was_proved(self, new_board: NewBoard) -> None:
         """Each electrode is a site once, all except one are silent once, and passes are
@@ -366,7 +361,7 @@ class DriverContract:
             if breaks:
                 raise ZeroDivisionError
         self.assert_silent()
-        assert [name for name, _ in self.calls][-2:] == ["zero", "close"]
+        assert [call[0] for call in self.calls.mock_calls[-2:]] == ["zero", "close"]
         with pytest.raises(BoardClosedError):
             board.send(self.sequence(2))
 

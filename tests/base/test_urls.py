@@ -12,11 +12,11 @@ from smarttouch.base.errors import BoardClosedError, BoardError, SourceError
 from smarttouch.base.urls import read_options
 from smarttouch.boards.open import (
     BOARDS,
-    MemoryDriver,
     default_profile,
     make_board,
     may_touch_a_finger,
 )
+from smarttouch.emulator.emulated_boards import MemoryDriver
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.sources import open_source
 from smarttouch.sources.force import open_force

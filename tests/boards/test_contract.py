@@ -229,7 +229,7 @@ class TestMemory(Contract):
 
     def pulses(self):
         """Nothing leaves this process."""
-        sent = [given[0] for name, given in self.calls if name == "write"]
+        sent = [call.args[0] for call in self.calls.write.mock_calls]
         return [pulse for each in sent for pulse in planned_pulses(each.sequence, each.times)]
 
     def assert_silent(self):

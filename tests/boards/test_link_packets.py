@@ -25,14 +25,13 @@ from smarttouch.boards.link import (
     Message,
     MessageKind,
     decode,
-    decode_head,
     encode,
 )
 from smarttouch.boards.link.link_driver import SILENCE_S, LinkSession
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.link_packets import decode_lists
+from smarttouch.emulator.link_packets import decode_head, decode_lists
 from smarttouch.emulator.link_rules import Room
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence

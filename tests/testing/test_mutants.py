@@ -178,7 +178,7 @@ BROKEN = """
 import math, time
 import numpy as np
 from smarttouch import Frame, OpticalSource, Stimulus, StimulusSource
-from smarttouch.boards.open import MemoryDriver
+from smarttouch.emulator.emulated_boards import MemoryDriver
 from smarttouch.plugins import ForceSource, Pose
 from smarttouch.testing import ZERO, DriverContract, ForceContract, SourceContract, StimulusContract
 from smarttouch.testing.driver_contract import planned_pulses

@@ -188,12 +188,6 @@ def decode(packet: WirePacket) -> Message:
     return Message(packet.kind, packet.number, session, heard, about, payload, state)
 
 
-def decode_head(head: bytes) -> Message:
-    """Decode the first `WHOLE_HEAD_BYTES` of a message, before the CRC is known."""
-    version, kind, number = HEAD.unpack_from(head)
-    return decode(WirePacket(kind, number, head[HEAD.size :], version))
-
-
 def draw_half() -> int:
     """Return 32 random bits that are not all 0."""
     return secrets.randbelow(HALF) + 1
