@@ -92,6 +92,14 @@ def test_impossible_readings_are_refused(volts, ohm, current_ma):
         measured_scale("link", None, volts, ohm, current_ma)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_measuring_again_cannot_leave_the_band(kind):
+    before_ua = 1.2 * NOMINAL_UA[kind]
+    assert measured_scale(kind, before_ua, 0.9, 1000, 1.0) == pytest.approx((0.9, 0.9 * before_ua))
+    with raises(BoardError, names="output.ua_per_count", value=1.44):
+        measured_scale(kind, before_ua, 1.2, 1000, 1.0)
+
+
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 WIDE = SafetyLimits(24, 5.0, 200, 0.5, 200, 0.8, 0.5, 2.4)
 COMPLIANCE_V = 300.0
@@ -158,6 +166,8 @@ def test_masked_electrodes_carry_nothing(masked, in_pairs):
     assert ((scan.current_ua < 0).sum(axis=1) == (1 if in_pairs else 7 - len(masked))).all()
     if in_pairs:
         assert not scan.current_ua.sum(axis=0).any()
+    shares = [each.intensity for each in (*rising, scan)]
+    np.testing.assert_allclose(shares, np.linspace(0, 0.5 / 2.4, len(shares)))
 
 
 def measured(kohm):
