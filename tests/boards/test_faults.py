@@ -149,15 +149,18 @@ def drive(board, make_sequence, count=4, **fields):
 @pytest.mark.parametrize("fault", ["twice", "violation", "strong", "after zero", "volts"])
 def test_a_link_board_is_latched(fault, start_faulty, make_limits, make_sequence):
     port = start_faulty(fault, "link", 8)
+    board, again = (make_board(f"link:{port}", make_limits()) for _ in range(2))
     with pytest.raises(BoardFaultError) as found:
-        drive(make_board(f"link:{port}", make_limits()), make_sequence)
-    again = make_board(f"link:{port}", make_limits())
+        drive(board, make_sequence)
     with pytest.raises(BoardLatchedError) as refused:
         again.open()
     record = clear_latch(again.device)
     assert f"since {record}; have it checked" in str(refused.value)
     assert str(found.value).startswith(f"{record.split(': ', 1)[1]}: ")
     assert find_latch(again.device) is None
+    # What has failed stays at zero as long as its program runs.
+    with pytest.raises(BoardFaultError):
+        board.open()
 
 
 def test_an_output_beside_the_pattern_latches_a_kit(start_faulty, make_limits, make_sequence):

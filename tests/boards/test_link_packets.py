@@ -143,6 +143,7 @@ def test_the_head_of_a_packet_is_known_before_its_end(payload, cut, session):
         message = decode_head(head)
         assert (message.kind, message.session) == (MessageKind.SEQUENCE, session)
         assert (message.number, message.heard, message.about) == (258, 0, 7)
+        assert decode_head(b"\4" + head[1:]).version == 4
 
 
 def test_what_is_too_short_belongs_to_no_session():
