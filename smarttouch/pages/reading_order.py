@@ -90,7 +90,7 @@ def reading_order(segments: Row, height: float, leftward: bool = False) -> list[
 
     lines = [line for region in split(rows, ends_heads) for line in _ordered(region)]
     if leftward:
-        _mirror(segments)
+        _mirror([segment for line in lines for segment in line.segments])
     return lines
 
 

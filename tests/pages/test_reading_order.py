@@ -73,6 +73,18 @@ def test_scripts_from_the_right_are_read_from_the_right():
     assert order(*lines, leftward=True)[0] == list(range(9))
 
 
+def test_justified_lines_from_the_right_keep_their_place():
+    sides = [(0, 100), (0, 40), (60, 100)]
+    words = [
+        Segment("two words", left, right, 12 * bool(k), 8.0, k)
+        for k, (left, right) in enumerate(sides)
+    ]
+    lines = reading_order(words, 240, leftward=True)
+    assert [(segment.left, segment.right) for line in lines for segment in line.segments] == [
+        (0, 100), (0, 100),
+    ]  # fmt: skip
+
+
 NARROW, CELLS, PROSE = [(0, 20), (25, 34)], [(0, 20), (25, 45)], [(0, 40), (45, 85)]
 
 
