@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageOps, ImageSequence, UnidentifiedImageError
 
 from smarttouch.base.errors import PageError
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
@@ -30,8 +30,7 @@ _CONTRAST = 64  # range of levels of a picture that contains print
 _THICK = 8  # strokes are thinner than the shorter side divided by this
 _ALPHA_IS_INK = -1
 """Ground of thin print, which may have several colors, even black and white: use its alpha."""
-_WHITE_IS_ZERO = 262, 0  # photometric interpretation of a TIFF
-_SUBFILE, _NO_PAGE = 254, 1 | 4  # tag of a TIFF; bits of reduced images and masks
+_NO_PAGE = 1 | 4  # bits of reduced images and masks in the NewSubfileType of a TIFF
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
 """Exceptions of Pillow for damaged files."""
 
@@ -156,13 +155,11 @@ def open_image(path: Path) -> Iterator[Image.Image]:
 def page_frames(image: Image.Image) -> list[int]:
     """Return the frames of an open image that are pages: for a TIFF without thumbnails and masks;
     for an animation the first."""
-    frames = range(getattr(image, "n_frames", 1) if image.format == "TIFF" else 1)
-    pages = []
-    for frame in frames:
-        image.seek(frame)
-        if not getattr(image, "tag_v2", {}).get(_SUBFILE, 0) & _NO_PAGE:
-            pages.append(frame)
-    return pages or list(frames)
+    if image.format != "TIFF":
+        return [0]
+    frames: Any = ImageSequence.Iterator(image)
+    kinds = [frame.tag_v2.get(ExifTags.Base.NewSubfileType, 0) for frame in frames]
+    return [k for k, kind in enumerate(kinds) if not kind & _NO_PAGE] or list(range(len(kinds)))
 
 
 def read_pixels(image: Image.Image) -> Pixels:
@@ -173,8 +170,7 @@ def read_pixels(image: Image.Image) -> Pixels:
     upright = ImageOps.exif_transpose(image)
     if image.mode[0] in "IF":
         values = np.asarray(upright)
-        tag, zero = _WHITE_IS_ZERO
-        if getattr(image, "tag_v2", {}).get(tag) == zero:
+        if getattr(image, "tag_v2", {}).get(ExifTags.Base.PhotometricInterpretation) == 0:
             # Pillow inverts such images only with 8 bits.
             values = np.asarray(_white_level(values)).astype(values.dtype) - values
         hidden = image.info.get("transparency")
