@@ -70,6 +70,10 @@ def deep_and_turned(path):
     path.write_bytes(head + size.to_bytes(4, "big") + chunk + crc.to_bytes(4, "big") + data)
 
 
+def deep_on_clear(path):
+    cv2.imwrite(str(path), np.dstack([np.zeros_like(INK)] * 3 + [INK]).astype(np.uint16) * 257)
+
+
 def white_is_zero(path):
     """Write 12 bits in 16 of a TIFF in which 0 is white."""
     tags = TiffImagePlugin.ImageFileDirectory_v2()
@@ -90,6 +94,7 @@ KINDS = {
     **{f"color-{bits}.{kind}": deep(bits, color=True)
        for bits, kind in ((10, "png"), (12, "tif"), (16, "png"))},
     "color-on-its-side.png": deep_and_turned,
+    "deep-on-clear.png": deep_on_clear,
     "white-is-zero.tif": white_is_zero,
     "float-1.tif": pillow(lambda: Image.fromarray(np.float32(PRINT / 255))),
     "float-255.tif": pillow(lambda: Image.fromarray(np.float32(PRINT))),
@@ -157,6 +162,23 @@ def test_black_print_below_a_marker_stays_legible():
 def test_luma_where_it_shows_all():
     red = np.dstack([np.full_like(PRINT, 255), PRINT, PRINT])
     np.testing.assert_array_equal(to_grey(red), cv2.cvtColor(red, cv2.COLOR_RGB2GRAY))
+
+
+def test_colors_of_16_bits_are_those_of_8(tmp_path):
+    red = np.dstack([PRINT, PRINT, np.full_like(PRINT, 255)])
+    greys = []
+    for kind, levels in ((np.uint8, 1), (np.uint16, 257)):
+        cv2.imwrite(str(tmp_path / "red.png"), red.astype(kind) * kind(levels))
+        with Document(tmp_path / "red.png", dpi=150) as document:
+            greys.append(document.page(0).grey)
+    np.testing.assert_array_equal(*greys)
+
+
+def test_colors_that_nobody_sees_do_not_count():
+    red = np.dstack([np.full_like(PRINT, 255), PRINT, PRINT, np.full_like(PRINT, 255)])
+    hidden = np.where(INK[..., None] > 127, (200, 60, 60, 0), (60, 140, 60, 0))
+    grey = to_grey(np.vstack([red, *[hidden] * 9]).astype(np.uint8))
+    np.testing.assert_array_equal(grey[: len(PRINT)], to_grey(red[..., :3]))
 
 
 @pytest.mark.parametrize("light", [True, False])
