@@ -234,7 +234,8 @@ def test_columns_come_in_the_order_asked_and_others_are_not_used(table):
     ("", "columns", ()), ("a,c\n1,2\n", "columns", ("a", "c")), ("a,b\n1,2\n", "rows", 1),
     ("a,b\n1,2\n\n2\n", "line", 4), ("a,b\n1,2\n2,\n", "line", 3),
     ("a,b\n1,2\n2,1e999\n", "line", 3), ("a,b\n0,5,1\n", "line", 2),
-    ("a,b\n1,2\n3,4\n3,5\n", "line", 4), ('a,b\n1,"2\n"\nx,3\n', "line", 4),
+    ("a,b\n1,2\n3,4\n3,5\n", "line", 4), ("a,b\n1,2\n9,4\n7,5\n", "line", (4, 7, 9)),
+    ('a,b\n1,"2\n"\nx,3\n', "line", 4),
 ])  # fmt: skip
 def test_errors_of_tables_name_their_line(table, text, about, value):
     with raises(PageError, names=about, value=value):

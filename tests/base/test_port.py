@@ -157,6 +157,9 @@ def test_a_port_without_a_descriptor_is_written_to_in_time(monkeypatch, pipe):
     in_time = [write_before(pipe, b"packet", 5, lambda now=now: now) for now in (5, 6)]
     assert in_time == [True, False]
     assert pipe.rest == b"packet"
+    with open_port("loop://") as port:
+        port.write(b"answer")
+        assert read_some(port) == b"answer"
 
 
 def fill(pipe):

@@ -8,12 +8,15 @@ import socket
 import subprocess
 import sys
 import termios
+import threading
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
 
 from smarttouch.emulator.__main__ import main
+from smarttouch.emulator.device_lines import TcpLine
 from smarttouch.emulator.devices import EmulatedLoadCell, SensorArray, SensorFirmware, Server
 from smarttouch.emulator.firmware import read_slots, read_state
 from smarttouch.sources import open_source
@@ -79,6 +82,16 @@ def test_an_etactilekit_goes_on_without_its_host(start_board, tmp_path):
     assert read_state(tmp_path)["state"] == "driving"
     lasted_us = read_slots(tmp_path)["time_us"]
     assert lasted_us[-1] - lasted_us[0] > 400_000
+
+
+def test_a_host_that_reads_nothing_holds_no_device_up():
+    with closing(TcpLine()) as line, connect(line.name) as host:
+        until(lambda: line.read(1) is not None)
+        ends = threading.Timer(10, host.close)
+        ends.start()
+        assert line.write(bytes(10**8))
+        assert ends.is_alive()
+        ends.cancel()
 
 
 @pytest.mark.parametrize(("linger", "program"), [("inf", subprocess.Popen), ("1e30", Forked)])

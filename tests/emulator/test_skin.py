@@ -159,6 +159,8 @@ def test_a_finger_lifts_and_touches_and_electrodes_break():
         np.testing.assert_allclose(skin.residual_uc / skin.capacitance_f, volts)
     np.testing.assert_allclose(skin.series_ohm[:7], HEALTHY[:7])
     assert skin.series_ohm[8] + skin.parallel_ohm[8] < 10
+    switch = EmulatedFinger(16, ["1 emergency", "2 release"])
+    assert list(map(switch.opens_switch, (0.9, 1.0, 1.9, 2.0))) == [False, True, True, False]
 
 
 @pytest.mark.parametrize(("text", "allowed"), [
