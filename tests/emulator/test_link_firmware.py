@@ -3,6 +3,7 @@
 What it refuses is compared with the C core and a judge in ``firmware/tests``.
 """
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -27,7 +28,7 @@ from smarttouch.boards.link import (
 )
 from smarttouch.boards.link.link_driver import LinkDriver
 from smarttouch.boards.link.sequence_encoding import KernelImage
-from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.firmware import RECHARGE, DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import MOST_HOSTS, BoardSession
 from smarttouch.emulator.link_rules import Room
@@ -49,11 +50,12 @@ class Rig(Talk):
         self.books, self.switched = self.board.log, output != "weighted"
         self.begin(SafetyLimits(electrodes, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0))
 
-    def drive(self, **more):
+    def drive(self, recharge_ua=None, recharge_us=0, **more):
         """Send two pulses of 100 µs, 50 µs apart."""
         current = np.array([[300, -100, -100, -100], [-100, 300, -100, -100]], np.int16)
         column = np.ones(2, np.uint16)
         scan = ScanSequence(current, 100 * column, 50 * column, column, 10_000, 1.0, 0)
+        scan = replace(scan, recharge_ua=recharge_ua, recharge_us=recharge_us)
         self.send(scan, 1, switched=self.switched, **more)
 
     def live(self, time_ms):
@@ -84,9 +86,20 @@ def test_an_open_electrode_needs_all_the_voltage_there_is():
     rig = Rig(output="one-against-all", finger=EmulatedFinger(4, ["0 open 1"]))
     rig.drive(measure=True)
     (told,) = (each for each in rig.wait(11_000) if each.kind == MessageKind.VOLTAGES)
-    volts = np.frombuffer(told.payload, "<u2") / protocol.VOLT
+    volts = np.frombuffer(told.payload, "<u2") / 100  # of 10 mV
     assert volts[1] == pytest.approx(300, abs=0.02)
     assert volts[0] < 60
+
+
+@pytest.mark.parametrize(("open_us", "flowed"), [(299, []), (300, [400]), (700, [800])])
+def test_what_flowed_of_a_recharge_phase_is_counted(rig, open_us, flowed):
+    """It begins at 300 µs, and the switch is found open 400 µs after the last step."""
+    back = np.array([-10, -10, 10, 10], np.int16)
+    rig.drive(recharge_ua=back, recharge_us=1000)
+    rig.wait(open_us)
+    rig.board.switch(True)
+    rig.wait(400)
+    assert [each[3] for each in rig.pulses if each[1] == RECHARGE] == flowed
 
 
 # -- sessions ----------------------------------------------------------------
