@@ -268,9 +268,9 @@ def _ordered(
     return tuple(found), any(row.is_doubtful for row in ordered)
 
 
-_REACH, _FARTHEST, _ABOVE, _BELOW = 1.2, 3.5, 1.6, 0.5
-"""Largest distances of a mark, in x-heights: from the end of its line, for the last mark, above and
-below the baseline."""
+_REACH, _ABOVE, _BELOW = 1.6, 1.6, 0.5
+"""Largest distances of a mark, in x-heights: from the end of its line, above and below the
+baseline."""
 _LONGEST = 2.5  # largest side of a dot, dash or single letter, in x-heights
 
 
@@ -284,15 +284,12 @@ def _with_marks(lines: list[Baseline], components: Components) -> list[tuple[flo
     for line in lines:
         size = line.x_height
         above = (line.at(x) - y) / size
-        marks = free.of((above < _ABOVE) & (above > -_BELOW) & (long < _LONGEST * size))
-        left, right = line.left, line.right
-        for _ in range(8):
-            near = (marks.left < right + _REACH * size) & (marks.right > left - _REACH * size)
-            left = float(np.min(marks.left[near], initial=left))
-            right = float(np.max(marks.right[near], initial=right))
-        # Longer rows of marks are leader dots.
-        left = left if line.left - left < _FARTHEST * size else line.left
-        ends.append((left, right if right - line.right < _FARTHEST * size else line.right))
+        marks = (above < _ABOVE) & (above > -_BELOW) & (long < _LONGEST * size)
+        marks &= (free.left < line.right + _REACH * size) & (free.right > line.left - _REACH * size)
+        left, right = free.left[marks], free.right[marks]
+        ends.append(
+            (float(np.min(left, initial=line.left)), float(np.max(right, initial=line.right)))
+        )
     return ends
 
 
