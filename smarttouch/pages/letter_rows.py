@@ -27,6 +27,7 @@ _UNDERLINE, _THIN = 3.0, 0.3  # least length and largest thickness, in letter he
 _TWO_LINES, _LEAST_LINE = 1.7, 0.6
 """Heights, in letter heights, of a component that may span two lines, and of a line."""
 _VALLEY = 0.25  # ink between two touching lines, relative to the ink in each
+_FILLED = 0.15  # smallest filled share of the box of a picture
 
 
 def weighted_median(values: Indices | Floats, weight: Floats) -> float:
@@ -101,6 +102,13 @@ def like_letters(components: Components, height: float) -> NDArray[np.bool_]:
     right_size = (tall >= _LETTER[0] * height) & (tall <= _LETTER[1] * height)
     right_size &= (tall > _COMMA[0] * height) | (wide > _COMMA[1] * height)
     return np.asarray(right_size & (wide < _LONGEST * tall))
+
+
+def like_pictures(components: Components, height: float) -> NDArray[np.bool_]:
+    """Return for each component, (N,), whether it is large both ways, and filled."""
+    wide, tall = components.width, components.height
+    large = np.minimum(wide, tall) > _LETTER[1] * height
+    return np.asarray(large & (components.area > _FILLED * wide * tall))
 
 
 def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
@@ -329,8 +337,8 @@ def _pieces(ink: Ink, letters: Components, height: float) -> tuple[Floats, Float
     pieces."""
     long = letters.width > _WORD * height
     rows = [np.stack([(letters.left + letters.right) / 2, letters.top, letters.bottom])[:, ~long]]
-    for k in np.flatnonzero(long).tolist():
-        box = ink[letters.box(k)]
+    for k in np.flatnonzero(long):
+        box = ink[letters.top[k] : letters.bottom[k], letters.left[k] : letters.right[k]]
         starts = np.linspace(0, box.shape[1], round(box.shape[1] / height / _PIECE) + 1)
         inked = np.add.reduceat(box, starts[:-1].astype(int), axis=1) > 0
         top = letters.top[k] + inked.argmax(axis=0)

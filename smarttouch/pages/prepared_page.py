@@ -21,6 +21,7 @@ from smarttouch.pages.letter_rows import (
     find_rows,
     find_rules,
     like_letters,
+    like_pictures,
     measure_row,
     part_lines,
     usual_height,
@@ -35,8 +36,6 @@ LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
 FAINT = "faint marks, as of print on the back of the sheet"
 _SMALL_PX, _LARGEST_PIXELS = 9.0, 40_000_000
 """Letter height below which a page is enlarged, and the largest enlarged page."""
-_PICTURE, _FILLED = 9.0, 0.15
-"""Least width and height of a picture, in letter heights, and filled share of its box."""
 _FEWEST_PIXELS = 3  # smallest area of a component of print
 _HEIGHT = 0.96  # from ascender to descender, in font sizes
 
@@ -109,8 +108,7 @@ def _with_lines(
     rules, dividers = find_rules(ink, height)
     ink = part_lines(ink & ~rules & ~dividers, height)
     components, labels = find_components(ink)
-    large = np.minimum(components.width, components.height) > _PICTURE * height
-    pictures = large & (components.area > _FILLED * components.width * components.height)
+    pictures = like_pictures(components, height)
     walls = dividers | np.append(False, pictures)[labels]
     components = components.of(components.area >= _FEWEST_PIXELS)
     letters = components.of(like_letters(components, height))
@@ -184,10 +182,11 @@ def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Base
             break
         if row.length < _SHORT and measured:
             x, y = float(np.median(row.left)), float(np.median(row.bottom))
-            off = [
-                abs(line.middle_y - y) + max(line.left - x, x - line.right, 0) for line in measured
-            ]
-            slope = float(np.diff(measured[int(np.argmin(off))].at(np.array([x, x + 1])))[0])
+            nearest = min(
+                measured,
+                key=lambda line: abs(line.middle_y - y) + max(line.left - x, x - line.right, 0),
+            )
+            slope = float(np.diff(nearest.at(np.array([x, x + 1])))[0])
         line = measure_row(ink, row, slope)
         if line.x_height < _LEAST_X_HEIGHT_PX:
             small += len(row.area) >= MANY
@@ -239,25 +238,23 @@ def _ordered(
     if not lines:
         return (), False
     x_height, ascent, descent = _sizes(lines)
-    levels = [line.middle_y - slope * (line.left + line.right) / 2 for line in lines]
-    sizes = ((ascent + descent) * x_height / _HEIGHT).tolist()
     words = [
-        Segment("", line.left, line.right, level, size, -1 - k)
-        for k, (line, level, size) in enumerate(zip(lines, levels, sizes, strict=True))
-    ]
-    ends = _with_marks(lines, components)
+        Segment("", *ends, line.middle_y - slope * (line.left + line.right) / 2,
+                (ascent + descent) * size / _HEIGHT, -1 - k)
+        for k, (ends, line, size) in enumerate(
+            zip(_with_marks(lines, components), lines, x_height.tolist(), strict=True))
+    ]  # fmt: skip
     ordered, scale = reading_order(words, len(page.grey), leftward), page.mm_per_pixel
     found = []
     for row in ordered:
         for cell, word in enumerate(row.segments, 1):
-            k = -1 - word.place
-            (left, right), size = ends[k], float(x_height[k]) * scale
-            moved = Polynomial(lines[k].curve)(Polynomial([left - lines[k].left, 1]))
+            line, size = lines[-1 - word.place], float(x_height[-1 - word.place]) * scale
+            moved = Polynomial(line.curve)(Polynomial([word.left - line.left, 1]))
             curve = np.asarray(moved.coef, np.float64)
             found.append(
                 TextLine(
-                    left_mm=left * scale,
-                    right_mm=right * scale,
+                    left_mm=word.left * scale,
+                    right_mm=word.right * scale,
                     baseline=tuple((curve * scale ** (1.0 - np.arange(len(curve)))).tolist()),
                     x_height_mm=size,
                     ascent_mm=ascent * size,
@@ -271,7 +268,9 @@ def _ordered(
 _REACH, _ABOVE, _BELOW = 1.6, 1.6, 0.5
 """Largest distances of a mark, in x-heights: from the end of its line, above and below the
 baseline."""
-_LONGEST = 2.5  # largest side of a dot, dash or single letter, in x-heights
+_THINNEST, _SHORTEST, _LONGEST = 0.06, 0.15, 2.5
+"""Smallest shorter side, and range of the longer side, of a dot, dash or single letter, in
+x-heights."""
 
 
 def _with_marks(lines: list[Baseline], components: Components) -> list[tuple[float, float]]:
@@ -279,12 +278,13 @@ def _with_marks(lines: list[Baseline], components: Components) -> list[tuple[flo
     letters = np.concatenate([line.letters.left + 1j * line.letters.top for line in lines])
     free = components.of(~np.isin(components.left + 1j * components.top, letters))
     x, y = (free.left + free.right) / 2, (free.top + free.bottom) / 2
-    long = np.maximum(free.width, free.height)
+    thin, long = np.minimum(free.width, free.height), np.maximum(free.width, free.height)
     ends = []
     for line in lines:
         size = line.x_height
         above = (line.at(x) - y) / size
-        marks = (above < _ABOVE) & (above > -_BELOW) & (long < _LONGEST * size)
+        marks = (above < _ABOVE) & (above > -_BELOW) & (thin > _THINNEST * size)
+        marks &= (long > _SHORTEST * size) & (long < _LONGEST * size)
         marks &= (free.left < line.right + _REACH * size) & (free.right > line.left - _REACH * size)
         left, right = free.left[marks], free.right[marks]
         ends.append(
