@@ -15,18 +15,22 @@ Floats = NDArray[np.float64]
 Ink = NDArray[np.bool_]
 Indices = NDArray[np.int_]
 
-_LEAST_SIDE, _LARGEST_PART = 3, 0.25
-"""Smallest height of a letter, px, and size above which a component is not a letter, relative to
-the page's shorter side."""
+_LEAST_SIDE = 3  # smallest height of a letter
+_LARGEST_PART = (
+    0.25  # size above which a component is not a letter, relative to the page's shorter side
+)
 _DOT = 0.7  # filled share of the box above which a component is a dot
 _RULE = 12.0  # ratio of length to thickness above which a component is a rule
 _LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the typical one
 _COMMA = (0.8, 0.5)  # largest height and width of a comma or quote, in typical heights
 _LONGEST = 40.0  # largest ratio of length to height of a word with touching letters
-_UNDERLINE, _THIN = 3.0, 0.3  # least length and largest thickness, in letter heights
-_TWO_LINES, _LEAST_LINE = 1.7, 0.6
-"""Heights, in letter heights, of a component that may span two lines, and of a line."""
-_VALLEY = 0.25  # ink between two touching lines, relative to the ink in each
+_UNDERLINE, _THIN, _HANGING = 3.0, 0.3, 0.2
+"""Smallest length and largest thickness of an underline, in letter heights; largest share of ink
+below it."""
+_TWO_LINES, _TWO_HIGH, _LEAST_LINE = 1.7, 4.0, 0.6
+"""Heights, in letter heights, of a component that may span two lines, of a narrow one, and of a
+line."""
+_VALLEY = 0.3  # ink between two touching lines, relative to the ink in each
 _FILLED = 0.15  # smallest filled share of the box of a picture
 
 
@@ -66,10 +70,6 @@ class Components(NamedTuple):
         """Length of the row of components, in typical heights."""
         return float(self.right.max() - self.left.min()) / self.usual_height
 
-    def box(self, index: int) -> tuple[slice, slice]:
-        """Return the rows and columns of a component."""
-        return np.s_[self.top[index] : self.bottom[index], self.left[index] : self.right[index]]
-
     def of(self, chosen: NDArray[np.bool_] | Indices) -> "Components":
         """Return some of the components."""
         return Components(*(column[chosen] for column in self))
@@ -104,7 +104,7 @@ def like_letters(components: Components, height: float) -> NDArray[np.bool_]:
     return np.asarray(right_size & (wide < _LONGEST * tall))
 
 
-def like_pictures(components: Components, height: float) -> NDArray[np.bool_]:
+def are_pictures(components: Components, height: float) -> NDArray[np.bool_]:
     """Return for each component, (N,), whether it is large both ways, and filled."""
     wide, tall = components.width, components.height
     large = np.minimum(wide, tall) > _LETTER[1] * height
@@ -113,34 +113,44 @@ def like_pictures(components: Components, height: float) -> NDArray[np.bool_]:
 
 def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
     """Return masks, (H, W), of horizontal rules and underlines, and of vertical rules."""
-    page, long = ink.view(np.uint8), round(_RULE * height)
-    # In some scripts letters hang from a line above.
-    thick = max(3, round(_THIN * height))
-    bare = page & ~np.pad(page, ((0, thick), (0, 0)))[thick:]
+    page = ink.view(np.uint8)
+    thick, long = max(3, round(_THIN * height)), round(_RULE * height)
+    run = np.ones((1, round(_UNDERLINE * height)), np.uint8)
+    rules = cv2.morphologyEx(page, cv2.MORPH_OPEN, run).view(np.bool_)
+    runs, labels = find_components(rules)
+    is_rule = runs.width > long
+    for k in np.flatnonzero(~is_rule & (runs.height <= thick)):
+        across, bottom = slice(runs.left[k], runs.right[k]), runs.bottom[k]
+        # In some scripts letters hang from a line above.
+        below = ink[bottom + 1 : bottom + 1 + thick, across]
+        is_rule[k] = below.size and below.mean() < _HANGING
+    rules = np.append(False, is_rule)[labels]
     # A slightly tilted rule has steps of one pixel.
     wide = cv2.dilate(page, np.ones((1, 3), np.uint8))
-    underlines, rules, upright = (
-        np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones(run, np.uint8)), np.uint8)
-        for mask, run in (
-            (bare, (1, round(_UNDERLINE * height))), (page, (1, long)), (wide, (long, 1))
-        )
-    )  # fmt: skip
-    thicker = np.asarray(cv2.dilate(rules | underlines, np.ones((3, 1), np.uint8)), np.uint8)
-    return thicker.view(np.bool_), (upright & page).view(np.bool_)
+    upright = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((long, 1), np.uint8))
+    upright = np.asarray(cv2.min(upright, page), np.uint8)
+    thicker = cv2.dilate(rules.view(np.uint8), np.ones((3, 1), np.uint8))
+    return thicker.view(np.bool_), upright.view(np.bool_)
 
 
-def part_lines(ink: Ink, height: float) -> Ink:
-    """Return ink, (H, W), cut where letters of successive lines touch."""
-    components, _ = find_components(ink)
-    wide, tall, parted = components.width, components.height, ink.copy()
-    may_be_two = (tall > _TWO_LINES * height) & (tall < _LETTER[1] * height) & (2 * wide >= tall)
-    around = np.ones((2 * round(_LEAST_LINE * height) + 1, 1), np.uint8)
-    for k in np.flatnonzero(may_be_two).tolist():
-        profile = ink[components.box(k)].sum(axis=1, dtype=np.float32)
-        above, below = (np.maximum.accumulate(part) for part in (profile, profile[::-1]))
-        valley = profile < _VALLEY * np.minimum(above, below[::-1])
-        valley &= profile == cv2.erode(profile, around).ravel()
-        parted[components.box(k)][valley] = False
+def part_lines(ink: Ink, components: Components, height: float) -> Ink:
+    """Return the ink, (H, W), cut where letters of successive lines touch."""
+    wide, tall = components.width, components.height
+    may_be_two = (tall > _TWO_LINES * height) & (tall < _LETTER[1] * height)
+    may_be_two &= (wide >= tall) | ((2 * wide >= tall) & (tall < _TWO_HIGH * height))
+    parted, least = ink.copy() if may_be_two.any() else ink, round(_LEAST_LINE * height)
+    for k in np.flatnonzero(may_be_two):
+        across = slice(components.left[k], components.right[k])
+        parts = [(int(components.top[k]), int(components.bottom[k]))]
+        while parts:
+            first, last = parts.pop()
+            if last - first <= _TWO_LINES * height:
+                continue
+            profile = ink[first:last, across].sum(axis=1)
+            cut = least + int(profile[least:-least].argmin())
+            if profile[cut] < _VALLEY * min(profile[:cut].max(), profile[cut:].max()):
+                parted[first + cut, across] = False
+                parts += [(first, first + cut), (first + cut + 1, last)]
     return parted
 
 
@@ -149,25 +159,23 @@ _WIDEST_GAP = 3.8  # in heights of the taller letter: a dash between two spaces
 _LEAST_OVERLAP = 0.45  # smallest vertical overlap of letters of a row, relative to the lower one
 _LARGEST_RATIO = 2.8  # largest ratio of heights in a row; a parenthesis has 2.5 x-heights
 _LEAST_SPACE = 0.35  # narrowest space between words, in letter heights
+_LANE_PX = 3.0  # letter height, px, at which lanes are searched
 _NARROWEST, _LANES = 0.75, ((1.25, 15.0), (1.9, 8.0))
 """Smallest width of the lane between columns, in letter heights, and in typical spaces for lanes of
 a given length."""
 _LANE_REACH, _SHORT_LINES = 16.0, 6.5
-"""Largest width of the white between print on both sides, and largest height of gaps in that print,
-in letter heights."""
+"""Largest distance between a lane and the print on both sides, and largest height of gaps in that
+print, in letter heights."""
 
 
 def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[Components]:
-    """Return the letters of each row.
+    """Return the letters of each row, from left to right.
 
     Rows end at ``walls``, (H, W), a mask of vertical rules and pictures, and at lanes between
     columns in ``ink``, (H, W).
     """
     if not len(letters.area):
         return []
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     first, second, gap = _link_neighbors(letters)
     spaces = gap[gap > _LEAST_SPACE * letters.height[first]]
     lanes = _lanes(ink, height, float(np.median(spaces)) if len(spaces) else 0.0)
@@ -178,25 +186,33 @@ def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[
     # Letters of a headline are farther apart than columns.
     wide = 2 * gap > _NARROWEST * (letters.height[first] + letters.height[second])
     free = ~(walled | (laned & wide))
-    links = coo_array((free[free], (first[free], second[free])), (len(letters.area),) * 2)
-    _, row = connected_components(links, directed=False)
-    ends = np.cumsum(np.bincount(row))[:-1]
-    return [letters.of(chosen) for chosen in np.split(np.argsort(row, kind="stable"), ends)]
+    following = dict(zip(first[free].tolist(), second[free].tolist(), strict=True))
+    rows = []
+    for letter in set(range(len(letters.area))) - set(following.values()):
+        row = [letter]
+        while row[-1] in following:
+            row.append(following[row[-1]])
+        rows.append(letters.of(np.array(row)))
+    return rows
 
 
 def _lanes(ink: Ink, height: float, space: float) -> Ink:
-    """Return tall white between print on both sides, (H, W)."""
-    closed = ink.view(np.uint8)
-    for size in ((1, round(_LANE_REACH * height)), (round(_SHORT_LINES * height), 1)):
-        solid = cv2.morphologyEx(closed, cv2.MORPH_CLOSE, np.ones(size, np.uint8))
-        closed = np.asarray(solid, np.uint8)
-    white = closed & ~ink.view(np.uint8)
-    lanes = np.zeros_like(white)
+    """Return the tall white between print on both sides, (H, W)."""
+    part, rows = max(1, int(height / _LANE_PX)), len(ink)
+    ink = np.logical_or.reduceat(ink, np.arange(0, len(ink), part), axis=0)
+    page = ink.view(np.uint8)
+    beside = np.ones((1, round(_LANE_REACH * height)), np.uint8)
+    leading = np.ones((round(_SHORT_LINES * height / part) | 1, 1), np.uint8)
+    white = ~ink
+    for x in (0, beside.size - 1):
+        near = cv2.dilate(page, beside, anchor=(x, 0))
+        white &= cv2.morphologyEx(near, cv2.MORPH_CLOSE, leading) > 0
+    lanes = np.zeros_like(ink)
     for spaces, length in _LANES:
         width = max(3, round(max(_NARROWEST * height, spaces * space)))
-        lane = np.ones((round(length * height), width), np.uint8)
-        lanes |= cv2.morphologyEx(white, cv2.MORPH_OPEN, lane)
-    return lanes.view(np.bool_)
+        lane = np.ones((round(length * height / part), width), np.uint8)
+        lanes |= cv2.morphologyEx(white.view(np.uint8), cv2.MORPH_OPEN, lane) > 0
+    return np.repeat(lanes, part, axis=0)[:rows]
 
 
 def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
@@ -221,33 +237,36 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     is_link &= (beside >= _LEAST_OVERLAP * lower) & (taller <= _LARGEST_RATIO * lower)
     # Vertical offset and gap have equal cost per pixel.
     cost = np.where(is_link, np.maximum(gap, 0) + lower - beside, np.inf)
-    links: list[int] = []
-    begun, ended = set[int](), set[int]()
-    for k in np.argsort(cost, kind="stable")[: np.count_nonzero(is_link)].tolist():
-        if first[k] not in begun and second[k] not in ended:
+    links, begun, ended = [], set(), set()
+    for k in np.argsort(cost, kind="stable")[: np.count_nonzero(is_link)]:
+        start, end = first[k], second[k]
+        if start not in begun and end not in ended:
             links.append(k)
-            begun.add(first[k])
-            ended.add(second[k])
+            begun.add(start)
+            ended.add(end)
     return first[links], second[links], gap[links]
 
 
 _WORD, _PIECE = 1.3, 0.6  # width above which a component is several letters; width of a piece of it
-_DEGREES = (8.0, 20.0, 40.0)
-"""Smallest lengths of lines fitted with a slope, a bend and a second bend, in letter heights."""
+_DEGREES = (
+    8.0,
+    20.0,
+    40.0,
+)  # smallest lengths of lines fitted with a slope, a bend and a second bend
 _DESCENDING = 2.5  # weight of deviations below a baseline
 _ROUNDS = 5  # iterations of the robust fit
 _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # tried x-heights, in letter heights
 _NEAR = (0.1, 0.5)  # tolerance of equal heights: in x-heights, plus pixels
-_TALL, _DEEP = (1.2, 1.72), (0.15, 0.65)
+_TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of the reach of ascenders and of descenders from the baseline, in x-heights."""
-_ABOVE, _UNDECIDED = 0.1, 0.35
-"""Distance above a baseline, in letter heights, and share of the letters that end there if it is
-too low."""
+_UNDECIDED = 0.2  # part of the letters that end above a baseline that may be too low
 _STROKES = (0.75, 2.9)  # strokes per x-height of letters; print has 0.9 to 1.9
-_ON_LEVELS, _PER_LETTER, _FEW_ON_LEVELS = 0.52, 2.5, 0.8
-"""Least part of the letters that begin and end at usual heights: of many, of fewer, and at most."""
 _TOUCHING = 1.3  # usual width of components in which letters run together, in x-heights
-MANY = 8  # letters of a line that stands for itself
+_ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.6, 0.5, 0.8
+"""Least part of the letters that begin and end at usual heights, where they touch, and of few."""
+MANY, _SOLID = 8, 0.75
+"""Letters of a line that stands for itself; filled part of a box above which it is a disc or a
+square, if it is as wide as high."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,9 +297,13 @@ class Baseline:
         letters = self.letters
         # Rows with dashes and wide spaces have little ink.
         covered = min(1.0, float(letters.width.sum()) / (self.right - self.left))
-        touching = bool(np.median(letters.width) > _TOUCHING * self.x_height)
-        fewer = 0.0 if touching else _PER_LETTER / len(self.rise)
-        least = min(_FEW_ON_LEVELS, _ON_LEVELS + fewer)
+        touching = float(np.median(letters.width)) > _TOUCHING * self.x_height
+        least = _TOUCHING_ON_LEVELS if touching else _ON_LEVELS
+        least = least if len(self.rise) >= MANY else _FEW_ON_LEVELS
+        wide = float(np.median(letters.width / letters.height))
+        filled = float(np.median(letters.area / (letters.width * letters.height)))
+        if wide >= 1 and filled >= _SOLID and len(letters.area) >= MANY:
+            return False
         return _STROKES[0] * covered < self.strokes < _STROKES[1] and self.on_levels >= least
 
     @property
@@ -299,24 +322,33 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     x-height or the height of ascenders. ``slope`` is the slope of surrounding lines, for short
     rows.
     """
-    left, right, height = letters.left.min(), letters.right.max(), letters.usual_height
-    x, top, bottom = _pieces(ink, letters, height)
+    left = float(letters.left.min())
+    x, top, bottom = _pieces(ink, letters, letters.usual_height)
     degree = min(int(np.searchsorted(_DEGREES, letters.length)), max(0, len(x) - 2))
     curve = np.append(_fitted(x - left, bottom - slope * (x - left), degree), 0.0)
     curve[1] += slope
-    off = bottom - polynomial.polyval(x - left, curve)
-    above = off < -_ABOVE * height
+    row = _on_curve(ink, letters, curve, x, top, bottom)
+    above = row.fall < -_NEAR[0] * row.x_height - _NEAR[1]
     if above.mean() > _UNDECIDED:
-        # Most letters descend, so the others determine the baseline.
-        curve[0] += np.median(off[above])
+        # If most letters descend, the others determine the baseline.
+        curve = np.append(curve[0] + np.median(row.fall[above]), curve[1:])
+        higher = _on_curve(ink, letters, curve, x, top, bottom)
+        row = max(row, higher, key=lambda candidate: candidate.on_levels)
+    return row
+
+
+def _on_curve(
+    ink: Ink, letters: Components, curve: Floats, x: Floats, top: Floats, bottom: Floats
+) -> Baseline:
+    """Return a row with this baseline; middles, tops and bottoms of its pieces are (P,)."""
+    left, right, height = letters.left.min(), letters.right.max(), letters.usual_height
     base = polynomial.polyval(x - left, curve)
     rise = base - top
     tried = height * _X_HEIGHTS
     score = np.tensordot((1, 0.9), _on_levels(rise, tried[:, None]).mean(axis=-1), 1)
     x_height = float(tried[score.argmax()])
-    for _ in range(2):
-        alike = rise[np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]]
-        x_height = float(alike.mean()) if len(alike) else x_height
+    alike = np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]
+    x_height = float(rise[alike].mean()) if alike.any() else x_height
     along = np.arange(right - left)
     halfway = np.rint(polynomial.polyval(along, curve) - x_height / 2)
     dark = ink[np.clip(halfway, 0, len(ink) - 1).astype(int), along + left]

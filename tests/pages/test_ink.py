@@ -9,7 +9,8 @@ from skimage import data
 
 from smarttouch.pages.ink import is_light_on_dark, separate_ink
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.prepared_page import FAINT, prepare_page
+from smarttouch.pages.prepared_page import prepare_page
+from smarttouch.pages.text_lines import FAINT
 
 from .printed import PAPERS, blank_papers, degrade, print_page, some_lines
 

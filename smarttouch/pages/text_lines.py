@@ -1,0 +1,316 @@
+"""Lines of text on a page: skew correction, letter sizes and reading order."""
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from smarttouch.pages.ink import Grey, Paper, separate_ink
+from smarttouch.pages.letter_rows import (
+    MANY,
+    Baseline,
+    Components,
+    Floats,
+    Ink,
+    are_pictures,
+    find_components,
+    find_rows,
+    find_rules,
+    like_letters,
+    measure_row,
+    part_lines,
+    usual_height,
+    weighted_median,
+)
+from smarttouch.pages.page_image import Page, TextLine
+from smarttouch.pages.reading_order import DOUBTFUL, Segment, reading_order
+
+
+@dataclass(frozen=True)
+class PageLines:
+    """Page, its ink, its lines in reading order, and notes on how they were found."""
+
+    page: Page
+    paper: Paper
+    lines: list[TextLine]
+    notes: tuple[str, ...] = ()
+
+
+FAINT = "faint marks, as of print on the back of the sheet"
+_SMALL_PX, _LARGEST_PIXELS = 9.0, 40_000_000
+"""Letter height below which a page is enlarged, and the largest enlarged page."""
+_FEWEST_PIXELS = 3  # smallest area of a component of print
+_HEIGHT = 0.96  # from ascender to descender, in font sizes
+
+
+def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
+    """Return the lines of text in reading order; None means to detect the polarity."""
+    return page_lines(page, light_on_dark).lines
+
+
+def page_lines(
+    page: Page, light_on_dark: bool | None, leftward: bool = False, turn: bool = False
+) -> PageLines:
+    """Find the lines of a page.
+
+    With ``turn`` its skew is corrected first. Dark panels are inverted, and small print is
+    enlarged.
+    """
+    paper = separate_ink(page.grey, light_on_dark)
+    components, labels = find_components(paper.ink)
+    height = usual_height(components, paper.ink.shape)
+    if height is None:
+        return PageLines(page, paper, [], ("left out: " + FAINT,) * paper.faint)
+    skew_deg = skew_of(components.of(like_letters(components, height)), height)
+    if turn and skew_deg:
+        page = Page(turned(page.grey, skew_deg), page.mm_per_pixel)
+        found = page_lines(page, paper.light_on_dark, leftward)
+        note = f"the text was tilted by {abs(skew_deg):.1f}° and was turned level"
+        return replace(found, notes=(note, *found.notes))
+    factor = math.ceil(_SMALL_PX / height)
+    if 1 < factor**2 <= _LARGEST_PIXELS / page.grey.size:
+        grey = cv2.resize(page.grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+        larger = Page(np.asarray(grey, np.uint8), page.mm_per_pixel / factor)
+        return page_lines(larger, paper.light_on_dark, leftward)
+    panels = _panels(paper.ink, components, height)
+    if panels.any():
+        cleaned = np.where(panels, ~paper.cleaned, paper.cleaned)
+        paper = replace(paper, ink=paper.ink ^ panels, clean=lambda: cleaned)
+    rules, dividers = find_rules(paper.ink, height)
+    ink = paper.ink & ~rules & ~dividers
+    if panels.any() or rules.any() or dividers.any():
+        components, labels = find_components(ink)
+    parted = part_lines(ink, components, height)
+    if parted is not ink:
+        components, labels = find_components(parted)
+    pictures = are_pictures(components, height)
+    walls = dividers | np.append(False, pictures)[labels] if pictures.any() else dividers
+    components = components.of(components.area >= _FEWEST_PIXELS)
+    letters = components.of(like_letters(components, height))
+    rows = find_rows(letters, parted, walls, height)
+    slope = math.tan(math.radians(skew_deg))
+    lines, small = _measured(parted, rows, slope)
+    order, is_doubtful = _ordered(lines, components, page, slope, leftward)
+    counts = ((small, "line", "too small"), (int(pictures.sum()), "picture", ""))
+    left_out = [f"{n} {what}{'s' * (n > 1)} {why}".strip() for n, what, why in counts if n]
+    left_out += [FAINT] * paper.faint
+    notes = (DOUBTFUL,) * is_doubtful + ("left out: " + ", ".join(left_out),) * bool(left_out)
+    return PageLines(page, paper, order, notes)
+
+
+def _ordered(
+    lines: list[Baseline], components: Components, page: Page, slope: float, leftward: bool
+) -> tuple[list[TextLine], bool]:
+    """Return lines with their marks in reading order, in mm, and whether that is doubtful."""
+    if not lines:
+        return [], False
+    lines = _with_marks(lines, components)
+    x_height, ascent, descent = _sizes(lines)
+    levels = [line.middle_y - slope * (line.left + line.right) / 2 for line in lines]
+    sizes = ((ascent + descent) * x_height / _HEIGHT).tolist()
+    words = [
+        Segment("", line.left, line.right, level, size, -1 - k)
+        for k, (line, level, size) in enumerate(zip(lines, levels, sizes, strict=True))
+    ]
+    ordered, scale = reading_order(words, len(page.grey), leftward), page.mm_per_pixel
+    found = []
+    for row in ordered:
+        for cell, word in enumerate(row.segments, 1):
+            curve, size = lines[-1 - word.place].curve, float(x_height[-1 - word.place]) * scale
+            found.append(
+                TextLine(
+                    left_mm=word.left * scale,
+                    right_mm=word.right * scale,
+                    baseline=tuple((curve * scale ** (1.0 - np.arange(len(curve)))).tolist()),
+                    x_height_mm=size,
+                    ascent_mm=ascent * size,
+                    descent_mm=descent * size,
+                    cell=cell if row.is_cells else 0,
+                )
+            )
+    return found, any(row.is_doubtful for row in ordered)
+
+
+_SKEWS_DEG = np.linspace(-16, 16, 321)
+_LEAST_SKEW_DEG, _PEAK_DEG = 0.2, 0.6  # smallest skew to correct; half width of a peak
+_BIN, _FEWEST, _SURE = 0.25, 30, 2.0
+"""Bin height of the histogram of lower ends, in letter heights; smallest number of letters, and
+smallest ratio of the peak to typical counts, for a reliable skew."""
+
+
+def skew_of(letters: Components, height: float) -> float:
+    """Return the clockwise skew, degrees, at which most lower ends of letters are aligned; 0 if
+    uncertain. ``height`` is the typical letter height, px."""
+    x = (letters.left + letters.right) / 2
+    if len(x) < _FEWEST:
+        return 0.0
+    rows = (letters.bottom - np.tan(np.radians(_SKEWS_DEG))[:, None] * x) / (_BIN * height)
+    rows = (rows - rows.min()).astype(int)
+    count = np.array([float(np.square(np.bincount(row)).sum()) for row in rows])
+    near = np.abs(_SKEWS_DEG - _SKEWS_DEG[count.argmax()]) < _PEAK_DEG
+    skew_deg = np.average(_SKEWS_DEG, weights=near * np.maximum(count - 0.7 * count.max(), 0))
+    sure = count.max() > _SURE * np.median(count)
+    return float(skew_deg) if sure and abs(skew_deg) >= _LEAST_SKEW_DEG else 0.0
+
+
+def turned(grey: Grey, skew_deg: float) -> Grey:
+    """Correct the skew of a page; the page becomes larger, and new areas are filled with paper."""
+    height, width = grey.shape
+    angle = math.radians(skew_deg)
+    cos, sin = math.cos(angle), abs(math.sin(angle))
+    size = (math.ceil(width * cos + height * sin), math.ceil(height * cos + width * sin))
+    matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), skew_deg, 1)
+    matrix[:, 2] += (size[0] - width) / 2, (size[1] - height) / 2
+    paper = float(np.median(grey[::4, ::4]))
+    return np.asarray(
+        cv2.warpAffine(grey, matrix, size, flags=cv2.INTER_CUBIC, borderValue=paper), np.uint8
+    )
+
+
+_LEAST_SIDES, _LEAST_INK = (2.5, 5.0), 0.6
+"""Smallest height and width of a panel, in letter heights, and smallest share of ink."""
+_LIGHT_LETTER, _FEWEST_LETTERS = (0.5, 9.0), 4
+"""Range of letter heights in a panel, in letter heights of the page; halftones have smaller
+dots."""
+
+
+def _panels(ink: Ink, components: Components, height: float) -> Ink:
+    """Return a mask of dark panels with light print, (H, W)."""
+    wide, tall = components.width, components.height
+    large = (tall > _LEAST_SIDES[0] * height) & (wide > _LEAST_SIDES[1] * height)
+    panels = np.zeros_like(ink)
+    for k in np.flatnonzero(large & (components.area > _LEAST_INK * wide * tall)):
+        box = np.s_[
+            components.top[k] : components.bottom[k], components.left[k] : components.right[k]
+        ]
+        letters, _ = find_components(~ink[box])
+        typical = usual_height(letters, ink.shape) or 0.0
+        alike = np.count_nonzero((letters.height > typical / 2) & (letters.height < 2 * typical))
+        right_size = _LIGHT_LETTER[0] * height < typical < _LIGHT_LETTER[1] * height
+        panels[box] |= right_size and alike >= _FEWEST_LETTERS
+    return panels
+
+
+_HOPELESS, _MISSES = 60, 3
+"""Failed rows, and additional ones per line of text, after which the rest is a picture's."""
+_LEAST_X_HEIGHT_PX = 3.5  # least x-height of readable print
+_SHORT = 11.0  # length of a row, in letter heights, below which it has the slope of one nearby
+
+
+def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Baseline], int]:
+    """Return the measures of rows that are text, and the number of rows that are too small to
+    read."""
+    measured: list[Baseline] = []
+    small = 0
+    for tried, row in enumerate(sorted(rows, key=lambda row: -row.length)):
+        if tried > _HOPELESS + _MISSES * len(measured):
+            break
+        if row.length < _SHORT and measured:
+            x, y = float(np.median(row.left)), float(np.median(row.bottom))
+            off = [
+                abs(line.middle_y - y) + max(line.left - x, x - line.right, 0) for line in measured
+            ]
+            slope = float(np.diff(measured[int(np.argmin(off))].at(np.array([x, x + 1])))[0])
+        line = measure_row(ink, row, slope)
+        if line.x_height < _LEAST_X_HEIGHT_PX:
+            small += len(row.area) >= MANY
+        elif line.is_text:
+            measured.append(line)
+    return _credible(ink, measured), small
+
+
+_EVEN, _FEW, _SIMILAR, _MOST_OF_ALL = 0.85, 4, 1.7, 0.8
+"""Part of the letters at their levels of a line that needs few to be sure, and these few; ratio of
+sizes at which others are lines, and their part of all ink without any sure."""
+_OWN, _AROUND, _FOREIGN, _NEAR_FOREIGN = (-1.8, 0.6), (-1.7, 0.5), 0.1, 0.5
+"""Extent of a line around its baseline, in x-heights, and of the ink around it, in letter heights;
+most foreign ink there, relative to its own and for each of its letters, also of an even line."""
+
+
+def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
+    """Return lines that are not parts of a picture. Those are surrounded by other ink, have few
+    letters, or letters of different heights."""
+    rest = ink.astype(np.uint8)
+    for line in lines:
+        if len(line.rise) > 1:
+            x = np.linspace(line.left, line.right, 20)
+            top, bottom = (line.at(x) + reach * line.x_height for reach in _OWN)
+            corners = np.column_stack([np.append(x, x[::-1]), np.append(top, bottom[::-1])])
+            cv2.fillPoly(rest, [np.rint(corners).astype(np.int32)], (0,))
+    total = cv2.integral(rest).astype(np.float64)
+    credible, sure = [], []
+    for line in lines:
+        size, count, even = line.letters.usual_height, len(line.rise), line.on_levels >= _EVEN
+        rows = np.clip(line.middle_y + np.multiply(_AROUND, size), 0, len(ink)).astype(int)
+        ends = np.clip([line.left - size, line.right + size], 0, ink.shape[1]).astype(int)
+        area = int(line.letters.area.sum())
+        foreign = np.diff(np.diff(total[np.ix_(rows, ends)]), axis=0).sum() - area * (count == 1)
+        limit = _NEAR_FOREIGN if even and count >= _FEW else _FOREIGN
+        if foreign < limit * area * min(count, MANY):
+            credible.append(line)
+            sure += [line.x_height] if count >= (_FEW if even else MANY) else []
+    if not sure:
+        area = sum(int(line.letters.area.sum()) for line in credible)
+        return credible if area > _MOST_OF_ALL * np.count_nonzero(ink) else []
+    return [
+        line for line in credible
+        if np.abs(np.log(np.divide(sure, line.x_height))).min() < math.log(_SIMILAR)
+    ]  # fmt: skip
+
+
+_REACH, _FARTHEST, _ABOVE, _BELOW = 1.2, 3.5, 1.6, 0.5
+"""Largest distances of a mark, in x-heights: from the end of its line, for the last mark, above and
+below the baseline."""
+_THINNEST, _SHORTEST, _LONGEST = 0.06, 0.15, 2.5
+"""Largest shorter and longer side of a dot, dash or single letter, in x-heights."""
+
+
+def _with_marks(lines: list[Baseline], components: Components) -> list[Baseline]:
+    """Add the marks at the ends of lines."""
+    letters = np.concatenate([line.letters.left + 1j * line.letters.top for line in lines])
+    free = components.of(~np.isin(components.left + 1j * components.top, letters))
+    x, y = (free.left + free.right) / 2, (free.top + free.bottom) / 2
+    thin, long = np.minimum(free.width, free.height), np.maximum(free.width, free.height)
+    extended = []
+    for line in lines:
+        size = line.x_height
+        above = (line.at(x) - y) / size
+        mark = (above < _ABOVE) & (above > -_BELOW) & (thin > _THINNEST * size)
+        marks = free.of(mark & (long > _SHORTEST * size) & (long < _LONGEST * size))
+        left, right = line.left, line.right
+        for _ in range(8):
+            near = (marks.left < right + _REACH * size) & (marks.right > left - _REACH * size)
+            left = float(marks.left[near].min(initial=int(left)))
+            right = float(marks.right[near].max(initial=int(right)))
+        # Longer rows of marks are leader dots.
+        left = left if line.left - left < _FARTHEST * size else line.left
+        right = right if right - line.right < _FARTHEST * size else line.right
+        curve = np.poly1d(line.curve[::-1])(np.poly1d([1.0, left - line.left]))
+        moved = np.asarray(curve.coeffs[::-1], np.float64)
+        extended.append(replace(line, left=left, right=right, curve=moved))
+    return extended
+
+
+_SAME, _CAPITALS, _CAPITAL = 0.15, 0.08, 1.42
+"""Relative difference of x-heights of one font size; share of tall letters below which all are
+capitals; height of a capital, in x-heights."""
+_ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
+"""Ranges of ascent and descent, in x-heights."""
+
+
+def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:
+    """Return the x-height of each line, (N,) px, and the common ascent and descent, in x-heights.
+
+    Lines of one font size share it; lines of capitals and figures measure taller.
+    """
+    size, length = np.array([(line.x_height, line.right - line.left) for line in lines]).T
+    tall = np.array([np.mean(line.rise > 1.25 * line.x_height) for line in lines])
+    capitals = np.abs(size / weighted_median(size, length) / _CAPITAL - 1) < _SAME
+    size = np.where(capitals & (tall < _CAPITALS), size / _CAPITAL, size)
+    near = np.abs(size[:, None] / size - 1) < _SAME
+    size = np.array([weighted_median(size[k], length[k]) for k in near])
+    above = np.concatenate([line.rise / x for line, x in zip(lines, size, strict=True)])
+    below = np.concatenate([line.fall / x for line, x in zip(lines, size, strict=True)])
+    ascent = float(np.clip(np.quantile(above, 0.93) + 0.03, *_ASCENT))
+    return size, ascent, float(np.clip(np.quantile(below, 0.97) + 0.03, *_DESCENT))
