@@ -262,7 +262,7 @@ _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 _UNDECIDED = 0.2  # part of the letters that end above a baseline that may be too low
 _STROKES = (0.75, 2.9)  # strokes per x-height of letters; print has 0.9 to 1.9
 _TOUCHING = 1.3  # usual width of components in which letters run together, in x-heights
-_ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.6, 0.5, 0.8
+_ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.65, 0.52, 0.8
 """Least part of the letters that begin and end at usual heights, where they touch, and of few."""
 MANY, _SOLID = 8, 0.75
 """Letters of a line that stands for itself; filled part of a box above which it is a disc or a
