@@ -126,6 +126,14 @@ def test_a_stop_that_is_interrupted_while_it_waits_still_ends_in_zero(monkeypatc
         assert "zero" in board.driver.did
 
 
+def test_ctrl_c_waits_for_the_end_of_a_write(make_sequence):
+    board = plain(lambda: signal.raise_signal(signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt), board:
+        board.send(make_sequence(0, electrodes=4, period_us=20_000))
+    assert board.driver.did.count("current") == 1
+    assert board.driver.did[-1] == "zero"
+
+
 @pytest.mark.parametrize("host_timed", [False, True])
 @pytest.mark.parametrize("broken", [RuntimeError("it broke"), BoardError("it cannot make this")])
 def test_a_driver_that_breaks_says_so(monkeypatch, make_sequence, host_timed, broken):

@@ -177,8 +177,12 @@ def test_a_board_that_never_echoes_again_is_reported(monkeypatch):
     kit.port.write = len
     # Even if nothing is sent any more: its last pattern may still be running.
     for act in (lambda: kit.driver.write(proved(pulses(1010, [1]))), kit.driver.zero):
-        with raises(LineLostError, names="board"):
+        with raises(LineLostError, names="board") as lost:
             act()
+        assert "lift the finger" in str(lost.value)
+    # Its watchdog has put it at zero: there is nothing to be afraid of.
+    kit.port.at_zero = True
+    assert "finger" not in str(kit.line.lost("is silent"))
 
 
 def test_a_line_that_loses_one_command_after_another_is_not_driven(monkeypatch):

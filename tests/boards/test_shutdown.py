@@ -215,6 +215,39 @@ def test_ctrl_c_in_a_program_lets_it_go_on_and_open_another_board():
         assert exit_code(child) == 0
 
 
+def test_a_program_that_was_told_to_end_opens_no_other_board():
+    def end(board):
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            until(lambda: board.zeros)
+
+    def work(say):
+        with pytest.raises(RunStopped), Display(1) as board:
+            end(board)
+        with raises(BoardError, names="SIGTERM"), Display(1):
+            pass
+        say()
+
+    with in_child(work) as child:
+        assert exit_code(child) == 0
+
+
+def test_a_signal_that_a_program_handles_itself_stops_no_board():
+    def work(say):
+        signal.signal(signal.SIGTERM, lambda *_: None)
+        with Display(1) as board:
+            signal.raise_signal(signal.SIGTERM)
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            until(lambda: board.zeros)
+            assert board.zeros == ["stop"], "that of Ctrl-C"
+        say()
+
+    with in_child(work) as child:
+        assert exit_code(child) == 0
+
+
 def test_no_exception_is_raised_within_a_write():
     written = []
 
