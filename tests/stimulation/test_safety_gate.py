@@ -108,6 +108,16 @@ def test_each_limit_raises(bad, limit, slot, electrode):
         warmed().check(bad)
 
 
+@pytest.mark.parametrize(("bad", "limit", "value", "allowed"), [
+    # In the 20 ms of its period an electrode may have 30 felt pulses and 10 µC.
+    (sequence([[-700, 700, 0, 0]] * 31, widths=50), "pulses_hz", 31, 30),
+    (sequence(GOOD * 25), "mean_ma", 12, 10),
+])  # fmt: skip
+def test_what_is_too_much_is_told_in_pulses_and_microcoulombs(bad, limit, value, allowed):
+    with raises(SafetyError, limit=limit, value=value, allowed=allowed):
+        warmed().check(bad)
+
+
 weak_or_strong = st.lists(
     st.tuples(
         st.integers(0, 2400), st.integers(1, 200), st.floats(0, 1), st.integers(5_000, 10**6)
@@ -273,6 +283,13 @@ def test_a_limit_is_the_decimal_that_a_person_wrote():
     limits = SafetyLimits(2, 2.3, 200, 0.5, 200, 0.8, 0.5, 2.3)
     assert limits.current_ua.tolist() == [2300, 2300]
     assert decimal(0.1) * 10 == 1
+
+
+@pytest.mark.parametrize(("total_ma", "allowed_ua"), [(6.5, 6500), (None, 10_000)])
+def test_the_total_of_a_profile_is_its_own_or_the_ceiling(changed, total_ma, allowed_ua):
+    keys = {"limits.total_ma": total_ma, "frames.share": False}
+    limits = SafetyLimits.of(changed(load_profile("electric-mouse"), keys))
+    assert limits.total_ua == allowed_ua
 
 
 def test_density_is_that_of_the_paper_s_pulse():
