@@ -73,8 +73,8 @@ def test_hebrew_goes_back_by_the_table_of_eight_dots_only():
 @needs_liblouis
 def test_a_word_that_is_unknown_leaves_the_others_as_they_are():
     table = open_table("en-1")
-    line = table.to_cells("NASA and") + "⠀⣿⠀" + table.to_cells("McCoy 3.5 o'clock")
-    assert table.to_text(line) == "NASA and ⣿ McCoy 3.5 o'clock"
+    line = table.to_cells("USA's and") + "⠀⣿⠀" + table.to_cells("McCoy 3.5 o'clock α")
+    assert table.to_text(line) == "USA's and ⣿ McCoy 3.5 o'clock α"
 
 
 @pytest.mark.parametrize("name", ["", "xx", "xx-YY", "nonsense.ctb", "../../etc/passwd", "en-1 "])
@@ -95,6 +95,7 @@ def test_what_has_no_cells():
     assert all(each in str(caught.value) for each in ("en-1", "U+4E2D", "1 more"))
     table = open_table()
     assert table.to_cells("a中b\n中c", leave_out=True) == "⠁⠃\n⠉"
+    assert numbers_in(table.doubt("⠁⠀⣿", "a 中"))[:2] == [1, 2]
     assert "U+0002" in table.losses("a\x02")
 
 

@@ -43,11 +43,25 @@ def page(text, number=1, left_mm=20.0):
      "Rough winds do shake the buds\nAnd summer is too short a date",
      ["Shall I compare thee to a summer", "Thou art more lovely and more",
       "Rough winds do shake the buds", "And summer is too short a date"]),
+    ("He went to the old mill by the river and\nto see the wheel that turned all day\n"
+     "in it, and the water that ran below\nto the sea, and then he went home with us.",
+     ["He went to the old mill by the river and", "to see the wheel that turned all day",
+      "in it, and the water that ran below", "to the sea, and then he went home with us."]),
     ("Mrs Ada Miller\n4 Mill Lane\nLondon\n\nDear Mrs Miller, thank you for\nthe letter that came.",
      ["Mrs Ada Miller", "4 Mill Lane", "London",
       "Dear Mrs Miller, thank you for the letter that came."]),
     ("You need these for a loaf of bread:\n\nflour for two loaves\nsugar\nsalt\nmilk",
      ["You need these for a loaf of bread:", "flour for two loaves", "sugar", "salt", "milk"]),
+    # Lines a little short or out of line are prose.
+    ("He went to the old mill by the river and saw the wheel going\n"
+     "so well that he told all his friends of it when he was\n"
+     "at home, and then they went to the mill and saw it too.",
+     ["He went to the old mill by the river and saw the wheel going so well that he told all "
+      "his friends of it when he was at home, and then they went to the mill and saw it too."]),
+    ("One is a line of the text here and\n so is this one, which goes on and on.\n"
+     " And this one has the same place so,\n   Another paragraph begins in here\nand goes on.",
+     ["One is a line of the text here and so is this one, which goes on and on. And this one has "
+      "the same place so,", "Another paragraph begins in here and goes on."]),
     # Entries of contents lose their leaders, and an exam keeps its blanks.
     ("Preface . . . . . . . . . v\nThe river and the dam that\nholds it ................ 12\n"
      "Wait ... and see ........ 9\nName: ____________________\nAge .......................",
