@@ -122,6 +122,7 @@ def test_a_grid_has_its_size_everywhere_and_shows_the_same_page(program_here, tm
 @pytest.mark.parametrize("name", ["electric-mouse", "kajimoto-61"])
 def test_what_is_shown_is_a_profile(program_here, tmp_path, name):
     done = program_here("profiles show", name).fine()
+    assert done.stdout == as_toml(load_profile(name))
     (tmp_path / f"{name}.toml").write_text(done.stdout)
     assert load_profile(tmp_path / f"{name}.toml") == load_profile(name)
 

@@ -99,3 +99,15 @@ def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
     assert errors.count("\n") == 1
     emulator.wait(PATIENCE_S)
     assert read_state(books)["state"] == "shorted"
+
+
+@pytest.mark.parametrize("file", [(), ("mine.toml",)])
+def test_an_error_of_the_system_names_its_file_alone(monkeypatch, capsys, file):
+    def broken(_):
+        raise OSError(28, "no space", *file)
+
+    monkeypatch.setattr("smarttouch.profile.load_profile", broken)
+    monkeypatch.setattr(sys, "argv", ["smarttouch", "profiles", "show"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    assert capsys.readouterr().err.startswith(": ".join(["smarttouch", *file, "no space;"]))

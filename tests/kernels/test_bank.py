@@ -13,6 +13,7 @@ import pytest
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
 from smarttouch.kernels import bank as banks
+from smarttouch.kernels import switched_design
 from smarttouch.kernels.bank import (
     design_bank,
     find_bank,
@@ -189,6 +190,14 @@ def test_a_kernel_is_kept_only_within_the_limits_of_its_site(profile, bank, chan
             == known.off_target
         )
         assert designed == expected
+
+
+def test_a_bank_for_other_limits_takes_its_kernels_from_the_shipped_one(changed, monkeypatch):
+    monkeypatch.setattr(switched_design, "designer", lambda profile: None)
+    line = load_profile("line-7")
+    made, shipped = design_bank(changed(line, {"limits.total_ma": 9.9})), load_bank(line)
+    for afferent in Afferent:
+        assert made.weights[afferent] == pytest.approx(shipped.weights[afferent])
 
 
 def test_a_weighted_board_s_kernels_do_not_depend_on_impedances(changed):

@@ -128,9 +128,14 @@ def test_a_class_is_drawn_in_its_color_where_its_receptors_were(finger, afferent
     distance = np.where(finger.classes == afferent, np.abs(finger.receptor_mm).sum(axis=1), 99)
     counts = np.zeros(len(finger.classes), np.intp)
     counts[distance.argmin()] = 3
-    drawn = SpikeMap(finger, lambda places, _: places + 12, (240, 240), 0.1)
-    drawn.add(Pose(0.0, 0.0), counts)
-    image = drawn.image()
+    drawn = SpikeMap(
+        finger, lambda places, pose: places + np.array([12 + pose.x_mm, 12]), (240, 480), 0.1
+    )
+    # A place is as dark, however often the same spikes were there.
+    for x_mm in (0.0, 22.0, 22.0, 22.0):
+        drawn.add(Pose(x_mm, 0.0), counts)
+    image, again = np.split(drawn.image(), 2, axis=1)
+    assert again.min() == image.min()
     row, column = np.unravel_index(image.sum(axis=2).argmin(), image.shape[:2])
     place = np.array([column, row]) * 0.1 - 12
     assert np.abs(place - finger.receptor_mm[distance.argmin()]).max() < 0.15

@@ -1,6 +1,8 @@
 """Keys of a terminal end a run, whatever other keys do."""
 
 import os
+import signal
+import subprocess
 import sys
 import threading
 
@@ -37,3 +39,27 @@ def test_a_key_that_fails_counts_as_a_lost_terminal(terminal):
         os.write(terminal, b"axq")
         assert lost.wait(PATIENCE_S)
     assert heard == ["a", "x", LOST]
+
+
+BLOCKS = """
+import os, signal, time
+from smarttouch.views.keys_and_signals import drives_a_board, ending_in_order
+@drives_a_board
+def block():
+    with ending_in_order(0.1):
+        os.kill(os.getpid(), signal.SIGTERM)
+        while True:
+            time.sleep(1)
+block()
+"""
+
+
+def test_a_command_that_blocks_ends_by_a_signal_and_shows_the_cursor():
+    far, near = os.openpty()
+    os.set_blocking(far, False)
+    with os.fdopen(near) as screen, os.fdopen(far, "rb", 0) as seen:
+        done = subprocess.run(
+            [sys.executable, "-c", BLOCKS], stdout=screen, timeout=PATIENCE_S, check=False
+        )
+        assert done.returncode == 128 + signal.SIGTERM
+        assert b"\x1b[?25h" in (seen.read(100) or b"")

@@ -1,20 +1,26 @@
 """Pages of a run: what is refused, who may do what, and that a page can hold nothing up."""
 
 import http.client
+import io
 import json
 import random
 from contextlib import ExitStack, closing, suppress
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
+from PIL import Image
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
 from smarttouch.base.afferent import Mode
 from smarttouch.base.events import Note, RunFailed, TrialEvent
 from smarttouch.base.stopping import StopRequest
+from smarttouch.pages.page_image import Page
 from smarttouch.running.loop import Controls, ControlState
+from smarttouch.sources.source_contract import Sheet
 from smarttouch.views import window_pages
+from smarttouch.views.window import sheet_png
 from smarttouch.views.window_pages import LOST_S, MOST_PAGES, Steering
 from smarttouch.views.window_server import MOST_MESSAGE_BYTES
 
@@ -201,10 +207,18 @@ def test_what_asks_for_no_current_stops_where_another_page_steers(running, asked
 def test_a_level_beyond_the_limit_is_refused_in_words(running, level):
     with running() as run, connect(run) as socket:
         socket.send(f"do level:{level}")
-        assert level in update_where(socket, lambda each: "refused" in each)["refused"]
+        update = update_where(socket, lambda each: "refused" in each)
+        assert level in update["refused"]
+        assert update["state"]["force_n"] == run.source.profile.force.full_n
         assert run.state().level == 1
         socket.send("do level:0.25")
         until(lambda: run.state().level == 0.25)
+
+
+def test_a_large_page_is_reduced_and_a_small_one_sent_as_it_is():
+    for shape, width in (((400, 3200), 1600), ((300, 200), 200)):
+        png = sheet_png(Sheet(1, Page(np.zeros(shape, np.uint8), 0.1)))
+        assert Image.open(io.BytesIO(png)).width == width
 
 
 @pytest.mark.parametrize("alone", [True, False])
