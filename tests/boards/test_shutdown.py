@@ -11,8 +11,8 @@ import pytest
 from smarttouch.base.errors import BoardError
 from smarttouch.base.stopping import RunStopped, StopRequest, uninterrupted
 from smarttouch.boards.open import make_board
-from smarttouch.boards.run_registry import registry_folder, stop_all
-from smarttouch.boards.shutdown import expect, running_command, stoppable_run
+from smarttouch.boards.run_registry import registry_folder, stop_all, stopped_since_start
+from smarttouch.boards.shutdown import enter, expect, running_command, stoppable_run
 from smarttouch.profile.ceilings import CEILING_USER_MA
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
@@ -321,3 +321,17 @@ class TestCommands:
             assert [answer.at_zero for answer in stop_all()] == [True]
             assert exit_code(child) == 128 + signal.SIGTERM
         assert runs(folder) == 0
+
+    def test_one_that_finds_others_stopped_says_by_what(self):
+        def work(say):
+            def open_late():
+                say()
+                until(stopped_since_start)
+                enter(Display())
+
+            with pytest.raises(RunStopped, match="smarttouch stop"), running_command(os._exit):
+                open_late()
+
+        with in_child(work) as child:
+            stop_all()
+            assert exit_code(child) == 0

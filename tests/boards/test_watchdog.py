@@ -205,6 +205,8 @@ def test_a_suspended_computer_is_a_silent_host_and_a_stuck_board_ends_it(monkeyp
     slept_s, codes = [5.0], []
     monkeypatch.setattr(watchdog, "_slept_s", lambda: slept_s[0])
     monkeypatch.setattr(watchdog, "STUCK_S", 0.05)
+    # As long as a busy machine may take between two heartbeats, and shorter than the suspension.
+    monkeypatch.setattr(watchdog, "SILENCE_S", 0.9)
     port.setblocking(False)
     with port, board, control, controls:
         ends = port.fileno(), control.fileno(), ZERO
@@ -216,6 +218,11 @@ def test_a_suspended_computer_is_a_silent_host_and_a_stuck_board_ends_it(monkeyp
             slept_s[0] = 6.0
             controls.send(b".")
         else:
+            # A second heartbeat ends nothing.
+            for _ in range(2):
+                until(lambda: codes or not select.select([control], [], [], 0)[0])
+                controls.send(b".")
+            assert not select.select([board], [], [], 0.02)[0]
             while select.select([], [port], [], 0)[1]:
                 port.send(bytes(100_000))
             controls.close()
