@@ -70,7 +70,7 @@ class FirstPulses(st.Listener):
         for each, sent in [*self._waits.items()]:
             start = self._board.start_of(sent)
             if start is not None:
-                since_ns = self._board.clock.now_ns() - start.time_ns
+                since_ns = self._board.clock.now_ns() - start[0]
                 self.began_ns[each] = time.monotonic_ns() - since_ns
                 del self._waits[each]
 
