@@ -176,6 +176,7 @@ def test_what_is_sent_otherwise_fails_the_test_that_is_about_it(tmp_path, monkey
 
 BROKEN = """
 import math, time
+from dataclasses import replace
 import numpy as np
 from smarttouch import Frame, OpticalSource, Stimulus, StimulusSource
 from smarttouch.emulator.emulated_boards import MemoryDriver
