@@ -10,12 +10,12 @@ import pytest
 sys.path.append(str(Path(__file__).parents[2]))  # last: an installed package comes first
 pytest_plugins = ["tests.fixtures"]
 
-from firmware.tests.build import CortexM3, host  # noqa: E402, the folder comes first
-
 
 @pytest.fixture
 def start_firmware():
     """Return a starter of the C core behind a pseudo-terminal: the process and its port."""
+    from firmware.tests.build import host
+
     started = []
 
     def start(*arguments, electrodes=8, output="weighted"):
@@ -40,6 +40,8 @@ def start_firmware():
 @pytest.fixture
 def start_cortex_m3(tmp_path):
     """Return a starter of the firmware on a Cortex-M3, as `CortexM3`."""
+    from firmware.tests.build import CortexM3
+
     started = []
 
     def start(folder=tmp_path, **what):

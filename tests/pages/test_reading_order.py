@@ -54,8 +54,28 @@ def columns(*tops, count=4):
         [((60, 90), 0), ((0, 30), 30), (BOTH, 50), (BOTH, 60)],
         [(BOTH, 0), (LEFT, 10), (RIGHT, 10), (BOTH, 20)],
         [*columns((LEFT, 20), (RIGHT, 20)), (BOTH, 90)],
+        columns(
+            (LEFT, 20),
+            ((0, 25), 60),
+            (LEFT, 100),
+            (RIGHT, 20),
+            ((65, 90), 60),
+            (RIGHT, 100),
+            ((30, 60), 60),
+        ),
     ],
-    ids=["columns", "lower", "higher", "headings", "title", "three", "date", "parts", "foot"],
+    ids=[
+        "columns",
+        "lower",
+        "higher",
+        "headings",
+        "title",
+        "three",
+        "date",
+        "parts",
+        "foot",
+        "caption",
+    ],
 )
 def test_lines_in_the_order_in_which_they_are_read(lines):
     assert order(*lines) == (list(range(len(lines))), [0] * len(lines))
