@@ -151,8 +151,6 @@ def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):
     with Board(driver, limits(8), clock=clock, claimed_time=True) as board:
         deliver(board, pulses(8, 0))
         packets, again = board.driver._session, []
-        # Its answers are lost, so that it is sent again, and again.
-        monkeypatch.setattr(packets, "take", lambda data: 1)
         send = packets.send
 
         def told(kind, about=0, payload=b"", **more):
@@ -161,15 +159,17 @@ def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):
             if kind == MessageKind.SEQUENCE:
                 written.append(about)
 
-        monkeypatch.setattr(packets, "send", told)
-        board.send(pulses(8, 1))
-        until(lambda: len(written) > 1)
-        clock.time_ns += LATE_NS + 1
-        tried = again.count(MessageKind.SEQUENCE)
-        before = len(written)
-        until(lambda: again.count(MessageKind.SEQUENCE) > tried + 1)
-        assert len(written) <= before + 1
-        monkeypatch.undo()
+        with monkeypatch.context() as patch:
+            # Its answers are lost, so that it is sent again, and again.
+            patch.setattr(packets, "take", lambda data: 1)
+            patch.setattr(packets, "send", told)
+            board.send(pulses(8, 1))
+            until(lambda: len(written) > 1)
+            clock.time_ns += LATE_NS + 1
+            tried = again.count(MessageKind.SEQUENCE)
+            before = len(written)
+            until(lambda: again.count(MessageKind.SEQUENCE) > tried + 1)
+            assert len(written) <= before + 1
 
 
 class Lost(MemoryDriver):
