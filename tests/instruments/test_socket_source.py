@@ -199,11 +199,11 @@ def test_a_client_sets_the_level_as_keys_do_and_ends_no_pause(opened):
 
 
 def test_who_gets_past_the_mode_is_turned_away(opened, monkeypatch):
-    monkeypatch.setattr("smarttouch.instruments.socket_source.user_number", lambda: -2)
     door = opened()
     assert door.path.stat().st_mode & 0o777 == 0o600
-    assert door.client().read() is None
-    monkeypatch.undo()
+    with monkeypatch.context() as patch:
+        patch.setattr("smarttouch.instruments.socket_source.user_number", lambda: -2)
+        assert door.client().read() is None
     assert door.client().ask("status")["ok"]
 
 
