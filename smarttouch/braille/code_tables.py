@@ -10,7 +10,7 @@ from typing import NamedTuple
 from smarttouch.base.errors import BrailleError
 from smarttouch.braille import louis
 from smarttouch.braille.cells import BLANK, is_cell, require_cells
-from smarttouch.braille.grade1 import Grade1
+from smarttouch.braille.grade1 import Grade1, decode_scripts, encode_scripts
 from smarttouch.braille.louis import LouisCode
 from smarttouch.braille.plain_forms import QUIET, plain_forms
 
@@ -55,7 +55,14 @@ class BrailleTable:
 
     def losses(self, text: str) -> str:
         """Return a sentence about characters that get a plain form or are left out, or ""."""
-        forms = {sign: form for sign, form in self._plain(text)[1].items() if sign not in QUIET}
+        signs = self._plain(text)[1].items()
+        # Scripts in plain form become technical notation.
+        quiet = "^_" if self._is_ueb else ""
+        forms = {
+            sign: form
+            for sign, form in signs
+            if sign not in QUIET and (form[:1] or " ") not in quiet
+        }
         plain = [f"{sign} as {form.strip()}" for sign, form in forms.items() if form]
         lost = [
             sign if sign.isprintable() else f"U+{ord(sign):04X}"
@@ -86,17 +93,18 @@ class BrailleTable:
         return plain, {sign: forms[sign] for sign in dict.fromkeys(text) if sign in forms}
 
     def _lacks(self, sign: str) -> bool:
-        """Return whether a character has no cells, or only those of a plain digit, as superscripts
-        in some tables."""
+        """Return whether a character has no cells, or only those of a plain digit or a blank, as
+        superscripts in some tables."""
         if sign == "\n":
             return False
         if self.code.missing(sign):
             return True
         figure = unicodedata.normalize("NFKC", sign)
-        return (
-            figure != sign and figure.isdigit() and unicodedata.decomposition(sign)[:5] != "<wide"
-            and self.code.encode(f"1{sign}") == self.code.encode(f"1{figure}")
-        )  # fmt: skip
+        if figure == sign or not figure.isdigit() or unicodedata.decomposition(sign)[:5] == "<wide":
+            return False
+        # Some tables show superscripts as plain digits, others as blanks.
+        unlike = [self.code.encode(text) for text in (f"1{figure}", "1")]
+        return self.code.encode(f"1{sign}").rstrip(BLANK) in unlike
 
     def to_text(self, cells: str) -> str:
         """Translate cells to text, line by line; unknown cells stay unchanged."""
@@ -111,7 +119,11 @@ class BrailleTable:
 
     def _without_typeforms(self, cells: str) -> str:
         """Return cells without indicators of emphasis."""
-        return _TYPEFORM.sub("", cells) if self.name in ("en-1", "en-2") else cells
+        return _TYPEFORM.sub("", cells) if self._is_ueb else cells
+
+    @property
+    def _is_ueb(self) -> bool:
+        return self.name in ("en-1", "en-2")
 
     def doubt(self, cells: str, text: str) -> str | None:
         """Return a sentence about words whose translation from cells is doubtful, because
@@ -131,6 +143,24 @@ class BrailleTable:
 
 
 class _EnglishLouis(LouisCode):
+    """Unified English Braille by liblouis, with superscripts and subscripts as technical
+    notation."""
+
+    def missing(self, line: str) -> str:
+        """Return the characters of a line that are not defined, and its superscripts, each once."""
+        return "".join(
+            sign for sign in dict.fromkeys(line) if sign in "¹²³" or LouisCode.missing(self, sign)
+        )
+
+    def encode(self, line: str) -> str:
+        uncontracted = LouisCode(_KNOWN["en-1"].file).encode
+        return encode_scripts(line, super().encode, uncontracted)
+
+    def decode(self, cells: str) -> str:
+        return decode_scripts(cells, super().decode)
+
+
+class _UncontractedLouis(_EnglishLouis):
     """English code: encoding by liblouis, which has more characters, decoding by the built-in code.
 
     In a test with 1000 sentences liblouis lost capitals in 77, the built-in code in none.
@@ -193,7 +223,7 @@ def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
             "language (pt), or the file name of a table of liblouis"
         )
     if louis.has_table(known.file):
-        code = _EnglishLouis if name == DEFAULT_TABLE else LouisCode
+        code = {"en-1": _UncontractedLouis, "en-2": _EnglishLouis}.get(name, LouisCode)
         return BrailleTable(name, code(known.file, known.goes_back))
     if name != DEFAULT_TABLE:
         raise BrailleError(f"table {name} ({known.title}) needs liblouis: {louis.INSTALL}")

@@ -3,12 +3,14 @@
 import itertools
 import re
 import unicodedata
+from collections.abc import Callable
 from functools import cache
 
 from smarttouch.braille.cells import BLANK
 
 # Rules and signs: International Council on English Braille, The Rules of Unified English
-# Braille, second edition (2013): letters and accents 4, numeric mode 6, punctuation 7, capitals 8.
+# Braille, second edition (2013): letters and accents 4, numeric mode 6, punctuation 7, capitals 8,
+# superscripts and subscripts 11.3.
 _LETTERS = dict(zip("abcdefghijklmnopqrstuvwxyz", "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚⠅⠇⠍⠝⠕⠏⠟⠗⠎⠞⠥⠧⠺⠭⠽⠵", strict=True))
 _DIGITS = dict(zip("1234567890", "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚", strict=True))
 _ACCENTS = {
@@ -25,6 +27,17 @@ _SIGNS = {
     "$": "⠈⠎", "£": "⠈⠇", "€": "⠈⠑", "¢": "⠈⠉", "¥": "⠈⠽",
     "°": "⠘⠚", "§": "⠘⠎", "¶": "⠘⠏", "©": "⠘⠉", "®": "⠘⠗", "™": "⠘⠞",
 }  # fmt: skip
+
+_LEVELS = {"^": "⠔", "_": "⠢"}
+_SCRIPT = re.compile(
+    r"((?<=[\w)])\^|(?<=(?<![^\W\d_])[^\W\d_])_|(?<=[A-Z)])_)"
+    r"(\d+(?:[.,]\d+)*|[a-z](?![^\W\d_])|[-−]\d+|\((?:[^\W_]|[-−+=., ])+\))"
+)
+"""A superscript, or a subscript of a single or capital letter, as in 10^6, a^(n+1) and x_1."""
+_SCRIPT_CELLS = re.compile("⠰?([⠔⠢])(?:(⠼[⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚]+(?:[⠂⠲][⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚]+)*)|⠣((?:(?!⠜).)+)⠜|(.))")
+_NUMBER_AT_END = re.compile("⠼[⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚⠂⠲]+$")
+_LETTER_AT_END = re.compile(f"(?<![^{BLANK}])([{''.join(_LETTERS.values())}])$")
+_MINUS = "⠐⠤"
 
 _CAPITAL, _CAPITAL_WORD, _CAPITAL_PASSAGE, _CAPITALS_END = "⠠", "⠠⠠", "⠠⠠⠠", "⠠⠄"
 _NUMBER, _GRADE_1, _NUMBER_SPACE = "⠼", "⠰", "⠐"
@@ -56,6 +69,9 @@ class Grade1:
 
     def encode(self, line: str) -> str:
         """Translate a line of text to cells."""
+        return encode_scripts(line, self._encode, self._encode)
+
+    def _encode(self, line: str) -> str:
         text = _plain_apostrophes(line)
         before, after = _capitals(text)
         cells: list[str] = []
@@ -104,7 +120,11 @@ class Grade1:
                     index += 1
                     continue
                 numeric = False
-            if cells.startswith(_CAPITAL_PASSAGE, index):
+            if (match := _SCRIPT_CELLS.match(cells, index)) and (script := _script(match)):
+                text.append(script)
+                word = capital = opening = False
+                index = match.end()
+            elif cells.startswith(_CAPITAL_PASSAGE, index):
                 passage = True
                 index += 3
             elif pair == _CAPITALS_END:
@@ -132,6 +152,51 @@ class Grade1:
                 word = capital = False
                 index += length
         return "".join(text)
+
+
+Translator = Callable[[str], str]
+
+
+def encode_scripts(line: str, encode: Translator, encode_item: Translator) -> str:
+    """Translate a line by ``encode``, and its superscripts and subscripts as technical notation,
+    with their contents by ``encode_item``."""
+    cells, end = "", 0
+    for script in _SCRIPT.finditer(line):
+        before, after = line[script.start() - 1], line[script.end() :][:1]
+        item = encode_item(script[2].strip("()")).replace("⠐⠤", "⠤").replace("⠤", _MINUS)
+        # A digit, or a letter with the same cell, would belong to a number.
+        if script[2][0] in "(-−" or (after and after in "0123456789abcdefghij"):
+            item = f"⠣{item}⠜"
+        cells += encode(line[end : script.start()]) + _GRADE_1 * (not before.isdigit())
+        cells += _LEVELS[script[1]] + item
+        end = script.end()
+    return cells + encode(line[end:])
+
+
+def decode_scripts(cells: str, decode: Translator) -> str:
+    """Translate cells by ``decode``, and superscripts and subscripts in technical notation.
+
+    Contractions have the same cells, so a grade 1 indicator or a number must be before them.
+    """
+    text, end = "", 0
+    for match in _SCRIPT_CELLS.finditer(cells):
+        is_sure = match[0][0] == _GRADE_1 or _NUMBER_AT_END.search(cells, 0, match.start())
+        if is_sure and (script := _script(match)):
+            # A letter alone would be a contraction.
+            text += decode(_LETTER_AT_END.sub(r"⠰\1", cells[end : match.start()])) + script
+            end = match.end()
+    return text + decode(cells[end:])
+
+
+def _script(match: re.Match[str]) -> str:
+    """Return the superscript or subscript of cells; empty if they are not one."""
+    level, number, group, letter = match.groups()
+    mark = next(mark for mark, cell in _LEVELS.items() if cell == level)
+    inner = Grade1().decode((number or group or letter).replace(_MINUS, _SIGNS["-"]))
+    if letter and not inner.isalpha():
+        return ""
+    is_item = not group or re.fullmatch(r"-\d+", inner)
+    return f"{mark}{inner}" if is_item else f"{mark}({inner})"
 
 
 def _plain_apostrophes(text: str) -> str:

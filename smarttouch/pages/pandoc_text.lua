@@ -5,10 +5,11 @@ local KINDS = {
   picture = "pictures", formula = "formulas", ["raw passage"] = "raw passages",
   ["page number of print"] = "page numbers of print",
 }
-local left_out = {}
+local left_out, sources = {}, pandoc.List()
 
-local function leave_out(kind, replacement)
+local function leave_out(kind, replacement, source)
   left_out[kind] = (left_out[kind] or 0) + 1
+  if source then sources:insert((source:gsub("%s+", " "))) end
   return replacement or {}
 end
 
@@ -106,13 +107,15 @@ return {
       return { pandoc.Str("(struck out: "), pandoc.Span(struck.content), pandoc.Str(")") }
     end,
     Math = function(math)
-      local text = math.text:gsub("([%^_]){(%w)}", "%1%2"):gsub("([%^_]){([%w+-]+)}", "%1(%2)")
-      local is_plain = text:match("^[%w%s.,:;=+<>()/^_-]*$") and not text:match("[%^_]%w%w")
-      return is_plain and pandoc.Str(text) or leave_out("formula", pandoc.Str("(formula)"))
+      local text = plain({ pandoc.Plain({ math }) })
+      if not text:match("[\\${}]") then
+        return pandoc.Str((text:gsub("[%^_]%b()", function(script) return (script:gsub(" ", ""):gsub("\u{2005}", "")) end)))
+      end
+      return leave_out("formula", pandoc.Str("(formula)"), math.text)
     end,
     Image = function(image)
       if pandoc.utils.stringify(image.caption):match("\\%a") then
-        return leave_out("formula", pandoc.Str("(formula)"))
+        return leave_out("formula", pandoc.Str("(formula)"), pandoc.utils.stringify(image.caption))
       end
       return leave_out("picture", image.caption)
     end,
@@ -130,8 +133,9 @@ return {
       local notes = pandoc.List()
       for kind, several in pairs(KINDS) do
         local number = left_out[kind] or 0
-        if number == 1 then notes:insert("1 " .. kind .. " is left out") end
-        if number > 1 then notes:insert(number .. " " .. several .. " are left out") end
+        local which = kind == "formula" and #sources > 0 and ": " .. table.concat(sources, ", ", 1, math.min(#sources, 5)) or ""
+        if number == 1 then notes:insert("1 " .. kind .. " is left out" .. which) end
+        if number > 1 then notes:insert(number .. " " .. several .. " are left out" .. which) end
       end
       notes:sort()
       local text = pandoc.RawBlock("plain", "\f" .. table.concat(notes, "\n"))

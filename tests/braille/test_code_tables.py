@@ -102,8 +102,9 @@ def test_what_has_no_cells():
 @needs_liblouis
 @pytest.mark.parametrize(("name", "text", "plain", "noted"), [
     ("en-1", "Erdős, Łódź", "Erdos, Łódź", "ő as o"), ("it", "−5", "-5", "− as -"),
-    ("es", "−5", "-5", "− as -"), ("en-1", "H₂O 10⁶ 10⁻²", "H_2O 10^6 10^−2", "₂ as _2"),
-    ("de-1", "10⁶ 10⁻²", "10^6 10^−2", "⁶ as ^6"), ("es", "10^6", "10**6", "^ as **"),
+    ("es", "−5", "-5", "− as -"), ("en-1", "H₂O 10⁶ 10⁻²", "H_2O 10^6 10^−2", ""),
+    ("de-1", "a¹", "a^1", "¹ as ^1"), ("de-1", "10⁶ 10⁻²", "10^6 10^−2", "⁶ as ^6"),
+    ("es", "10^6", "10**6", "^ as **"),
     ("en-us-2", "ﬁnal oﬃce ﬂow", "final office flow", "ﬃ as ffi"),
     ("hu", "1½ ½", "1 1/2 1/2", "½ as 1/2"), ("en-1", "3① 10⁶5", "3(1) 10^(6)5", "① as (1)"),
     ("en-1", "☐ a ☒ b \uf0b7", "[ ] a [x] b *", "☒ as [x]"), ("pt", "2π", "2[pi]", "π as [pi]"),
@@ -116,6 +117,17 @@ def test_signs_without_cells_get_a_plain_form_and_a_note(name, text, plain, note
     assert table.to_cells(text) == table.code.encode(plain.replace("-", hyphen))
     assert noted in table.losses(text)
     assert bool(table.losses(text)) == bool(noted)
+
+
+@needs_liblouis
+@pytest.mark.parametrize("name", ["en-1", "en-2"])
+def test_exponents_and_indices_are_technical_notation(name):
+    table = open_table(name)
+    text = "about 10^6, x^2 of H_2O, 10^-3 and a^(n+1), n_10 in file_2, 10^(6)5"
+    cells = table.to_cells(text)
+    assert all(part in cells for part in ("⠼⠁⠚⠔⠼⠋", "⠭⠰⠔⠼⠃", "⠠⠓⠰⠢⠼⠃⠠⠕", "⠔⠣⠐⠤⠼⠉⠜"))
+    assert table.to_cells("about 10⁶, x²") == cells[: len(table.to_cells("about 10^6, x^2"))]
+    assert table.to_text(cells) == text
 
 
 @pytest.mark.parametrize("name", TABLES)

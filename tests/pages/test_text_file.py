@@ -179,25 +179,32 @@ def test_formulas_and_pictures_are_named(tmp_path, kind):
     text, notes = read(written(tmp_path, kind, source))
     place = "(embedded object)" if kind == "odt" else "(formula)"
     assert text.startswith(f"T\nArea {place} and {place}\n")
-    formulas = "text boxes, frames) are left out: 2" if kind == "odt" else "2 formulas are left out"
+    formulas = (
+        "text boxes, frames) are left out: 2"
+        if kind == "odt"
+        else (r"2 formulas are left out: \frac{1}{2}, \sqrt{x}")
+    )
     assert "1 picture is left out" in notes
     assert any(note.endswith(formulas) for note in notes)
 
 
 @needs_pandoc
-@pytest.mark.parametrize(("suffix", "text"), [
-    ("html", r"<p>Area \(\frac{1}{2}bh\) and \[\sqrt{x}\] for $5 and $6, x<sup>2</sup></p>"),
-    ("html", r"<p>Area <img src='a.svg' alt='\frac{a}{b}'> and <span><math><mfrac><mn>1</mn>"
-             r"<mi>b</mi></mfrac></math><span aria-hidden='true'>1 b</span></span> for $5 and $6,"
-             r" $x^{2}$</p>"),
-    ("md", r"Area \(\frac{1}{2}bh\) and $\sqrt{x}$ for $5 and $6, \(x^2\)"),
+@pytest.mark.parametrize(("suffix", "formulas", "text"), [
+    ("html", r"\frac{1}{2}bh, \sqrt{x}",
+     r"<p>Area \(\frac{1}{2}bh\) and \[\sqrt{x}\] for $5 and $6, x<sup>2</sup></p>"),
+    ("html", r"\frac{a}{b}, \frac{1}{b}",
+     r"<p>Area <img src='a.svg' alt='\frac{a}{b}'> and <span><math><mfrac><mn>1</mn>"
+     r"<mi>b</mi></mfrac></math><span aria-hidden='true'>1 b</span></span> for $5 and $6,"
+     r" $x^{2}$</p>"),
+    ("md", r"\frac{1}{2}bh, \sqrt{x}",
+     r"Area \(\frac{1}{2}bh\) and $\sqrt{x}$ for $5 and $6, \(x^2\)"),
 ])  # fmt: skip
-def test_no_tex_stays_and_each_formula_is_named(tmp_path, suffix, text):
+def test_no_tex_stays_and_each_formula_is_named(tmp_path, suffix, formulas, text):
     path = tmp_path / f"a.{suffix}"
     path.write_text(text)
     found, notes = read(path)
-    assert found == "Area (formula) and (formula) for $5 and $6, x^2"
-    assert notes == ["2 formulas are left out"]
+    assert found.replace("²", "^2") == "Area (formula) and (formula) for $5 and $6, x^2"
+    assert notes == ["2 formulas are left out: " + formulas]
 
 
 @needs_pandoc
