@@ -1,5 +1,6 @@
-"""The tactile image, the touch analogue of an RGB image; and one-line reprs."""
+"""Frames of optical sources, and the tactile image, the touch analogue of an RGB image."""
 
+import math
 from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any
@@ -22,6 +23,56 @@ def _brief(value: Any) -> str:
     text = value.name if isinstance(value, Enum) else repr(value)
     long = text.startswith("<") or len(text) > 60 or "\n" in text
     return f"<{type(value).__name__}>" if long else text
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Position of the sensor's center on the page.
+
+    ``x_mm`` counts right and ``y_mm`` down from the top left corner of the page; ``angle_rad``
+    rotates the sensor clockwise on the page.
+    """
+
+    x_mm: float
+    y_mm: float
+    angle_rad: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One image of an optical source.
+
+    Attributes
+    ----------
+    image : ndarray, (H, W) uint8
+        Gray levels; 255 is white.
+    time_ns : int
+        Time of the read, since the start of the run.
+    pose : Pose
+        Pose of the sensor.
+    force_n : float, N
+        Force of the finger; NaN if unknown.
+    number : int
+        Number of the image at its source, from 0; equal numbers mean the same image.
+    age_ns : int
+        Age of the image when it was read.
+    stale : bool
+        Whether the image may be outdated, because the source delivers no new one.
+    period_us : int, µs, optional
+        Time to the next read, in which each active class pulses once. None means that classes pulse
+        at the profile's rates.
+    """
+
+    __repr__ = one_line
+
+    image: NDArray[np.uint8]
+    time_ns: int
+    pose: Pose = Pose(0.0, 0.0)
+    force_n: float = math.nan
+    number: int = 0
+    age_ns: int = 0
+    stale: bool = False
+    period_us: int | None = None
 
 
 @dataclass(frozen=True, eq=False)

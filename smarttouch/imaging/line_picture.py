@@ -73,18 +73,6 @@ class LinePicture:
             lambda plane: np.asarray(cv2.GaussianBlur(plane, (0, 0), x, sigmaY=y, borderType=edge))
         )
 
-    def at(self, x_mm: NDArray[np.floating], y_mm: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the mean at places, (N,), measured from the left end and the top."""
-        # Rounding may shift by one pixel.
-        total, count = (
-            cv2.boxFilter(plane, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-            for plane in (self._raster.value, self._raster.count)
-        )
-        last = np.array(total.shape) - 1
-        row = np.minimum(np.floor(y_mm / self._pixel_mm).astype(np.intp), last[0])
-        column = np.minimum(np.floor(x_mm / self._pixel_mm).astype(np.intp), last[1])
-        return np.asarray(total[row, column] / np.maximum(count[row, column], 1), np.float32)
-
     def picture(self, height: int) -> NDArray[np.uint8]:
         """Return the line as gray levels, (height, W) uint8."""
         grey = as_ink(self.values())

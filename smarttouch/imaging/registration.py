@@ -42,8 +42,8 @@ class Registration:
         width_mm, height_mm = _field_mm(electrodes, optics)
         self.frame_shape = frame_shape
         self.working_shape: tuple[int, int] = (
-            _reduced_side(rows, _whole(height_mm / finest)),
-            _reduced_side(columns, _whole(width_mm / finest)),
+            _reduced_side(rows, height_mm / finest),
+            _reduced_side(columns, width_mm / finest),
         )
         self._averages = [
             (np.empty(shape, np.uint8), kind)
@@ -59,16 +59,12 @@ class Registration:
         return image
 
 
-def _whole(side: float) -> int:
-    """Round up to an integer, with a tolerance for rounding errors."""
-    return math.ceil(side * (1 - 1e-9))
-
-
-def _reduced_side(side: int, wanted: int) -> int:
+def _reduced_side(side: int, wanted: float) -> int:
     """Return ``side`` divided by the largest integer that leaves at least ``wanted``: OpenCV
     reduces faster by integers."""
-    factors = range(max(1, side // wanted), 0, -1)
-    return side // next(factor for factor in factors if side % factor == 0)
+    # Rounding errors must not cost a whole factor.
+    largest = math.floor(side / wanted * (1 + 1e-9))
+    return side // next(factor for factor in range(max(1, largest), 0, -1) if side % factor == 0)
 
 
 def _averages(shape: tuple[int, int], to: tuple[int, int]) -> list[tuple[tuple[int, int], int]]:

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ScheduleError
-from smarttouch.base.tactile_image import TactileImage
+from smarttouch.base.tactile_image import Frame, TactileImage
 from smarttouch.imaging.registration import Registration
 from smarttouch.profile import Profile
-from smarttouch.sources.source_contract import Frame
 
 LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper
 LEAST_GRAINS, PALE = 4.0, 0.3
@@ -116,17 +115,13 @@ class NaturalDrive:
         np.minimum(change, 1, out=change)
 
 
-FAINTEST_INK = 0.15  # share of ink in a cell below which the electrode is not active
-FULLEST_INK = 0.5  # share of ink in a cell above which the electrode is fully active
-
-
 @dataclass(frozen=True)
 class Tone:
     """Tone curve from ink under an electrode to activation."""
 
-    faintest: float = FAINTEST_INK  # share of ink above which an electrode is active
+    faintest: float = 0.15  # share of ink in a cell above which the electrode is active
     # share of ink for full activation; if equal to `faintest`, electrodes are on or off
-    fullest: float = FULLEST_INK
+    fullest: float = 0.5
     prepared: bool = False  # whether frames are already ink on pure white, without a threshold
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from smarttouch.base.errors import PageError, require_within
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file, read_text
 from smarttouch.base.stopping import Closing
-from smarttouch.pages.grey_image import open_image, page_frames, read_pixels, to_grey
+from smarttouch.imaging.grey_image import GreyConverter, open_image, page_frames, read_pixels
 from smarttouch.pages.page_image import (
     INCH_MM,
     LARGEST_MM,
@@ -119,7 +119,7 @@ class Document(Closing):
         with open_image(self.path) as image:
             image.seek(self._frames[index])
             require_pixels(str(self.path), *image.size)
-            grey = to_grey(read_pixels(image))
+            grey = GreyConverter().convert(read_pixels(image))
             across, down = map(float, image.info.get("dpi") or (0, 0))
         height, width = grey.shape
         is_believed = round(across) == round(down) and 72 != across >= _LEAST_BELIEVED_DPI

@@ -7,7 +7,7 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import PageError
-from smarttouch.pages.grey_image import MOST_PIXELS
+from smarttouch.imaging.grey_image import MOST_PIXELS
 
 FEWEST_PIXELS = 8  # smallest side of a page
 LARGEST_MM, SMALLEST_MM = 2000.0, 2.0

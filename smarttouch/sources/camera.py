@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import SourceError, SourceLostError, require_within
-from smarttouch.pages.grey_image import GreyConverter
+from smarttouch.imaging.grey_image import GreyConverter
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 

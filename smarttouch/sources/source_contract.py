@@ -1,9 +1,8 @@
-"""Base classes of sources, with frames, stimuli, poses and warnings."""
+"""Base classes of sources, with stimuli and warnings."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Protocol
@@ -15,61 +14,13 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SourceError, kind_in_words
 from smarttouch.base.events import Advice, Emit
 from smarttouch.base.stopping import Closing
-from smarttouch.base.tactile_image import TactileImage, one_line
-from smarttouch.pages.grey_image import to_grey
+from smarttouch.base.tactile_image import Frame as Frame
+from smarttouch.base.tactile_image import Pose as Pose
+from smarttouch.base.tactile_image import TactileImage
+from smarttouch.imaging.grey_image import GreyConverter
 from smarttouch.pages.page_image import Page
 from smarttouch.profile import Profile
 from smarttouch.profile.electrodes import ElectrodeArray
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Position of the sensor's center on the page.
-
-    ``x_mm`` counts right and ``y_mm`` down from the top left corner of the page; ``angle_rad``
-    rotates the sensor clockwise on the page.
-    """
-
-    x_mm: float
-    y_mm: float
-    angle_rad: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """One image of an optical source.
-
-    Attributes
-    ----------
-    image : ndarray, (H, W) uint8
-        Gray levels; 255 is white.
-    time_ns : int
-        Time of the read, since the start of the run.
-    pose : Pose
-        Pose of the sensor.
-    force_n : float, N
-        Force of the finger; NaN if unknown.
-    number : int
-        Number of the image at its source, from 0; equal numbers mean the same image.
-    age_ns : int
-        Age of the image when it was read.
-    stale : bool
-        Whether the image may be outdated, because the source delivers no new one.
-    period_us : int, µs, optional
-        Time to the next read, in which each active class pulses once. None means that classes pulse
-        at the profile's rates.
-    """
-
-    __repr__ = one_line
-
-    image: NDArray[np.uint8]
-    time_ns: int
-    pose: Pose = Pose(0.0, 0.0)
-    force_n: float = math.nan
-    number: int = 0
-    age_ns: int = 0
-    stale: bool = False
-    period_us: int | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,7 +37,7 @@ class Stimulus(TactileImage):
         Gray levels under the finger, for display.
     """
 
-    pose: Pose = Pose(0.0, 0.0)
+    pose: Pose = field(default=Pose(0.0, 0.0))
     number: int = 0
     age_ns: int = 0
     stale: bool = False
@@ -279,7 +230,7 @@ def gray_image(image: Any, who: object) -> NDArray[np.uint8]:
             f"{who} gave an image that is {kind_in_words(image)}: give gray levels (H, W) uint8, "
             "0 black and 255 white, or RGB (H, W, 3)"
         )
-    return to_grey(image)
+    return GreyConverter().convert(image)
 
 
 def checked_activation(activation: Any, who: object, electrodes: int) -> NDArray[np.float32]:

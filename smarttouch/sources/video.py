@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import PageError, SourceError, require_within
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, require_file
-from smarttouch.pages.grey_image import GreyConverter, open_image, read_pixels
+from smarttouch.imaging.grey_image import GreyConverter, open_image, read_pixels
 from smarttouch.profile import Profile
 from smarttouch.sources.camera import silence_opencv
 from smarttouch.sources.preprocess import FramePreprocessor

@@ -14,6 +14,7 @@ from smarttouch.braille.brf import format_brf
 from smarttouch.braille.cells import dots_to_cells
 from smarttouch.braille.code_tables import open_table
 from smarttouch.imaging.array_window import profile_for_reading
+from smarttouch.imaging.line_picture import PIXELS_PER_PITCH
 from smarttouch.kernels.bank import load_bank
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.profile import load_profile
@@ -76,7 +77,9 @@ def delivered(name, line, eight=False):
     dots = 8 if eight else 6
     rows, columns = layout.dots_of(dots_to_cells(np.ones((len(line), dots), bool)))
     across, down = layout.pitch_mm
-    on = picture.at((columns + 0.5) * across, (rows + 0.5) * down) > 0.5
+    pixel_mm = min(profile.electrodes.cell_mm) / PIXELS_PER_PITCH
+    places = [np.int64((k + 0.5) * mm / pixel_mm) for k, mm in ((rows, down), (columns, across))]
+    on = picture.values()[tuple(places)] > 0.5
     return dots_to_cells(on.reshape(len(line), dots))
 
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image, TiffImagePlugin
 
+from smarttouch.imaging.grey_image import GreyConverter
 from smarttouch.pages.document import Document
-from smarttouch.pages.grey_image import GreyConverter, to_grey
 from smarttouch.sources import open_source
 
 PRINT = np.full((60, 160), 255, np.uint8)
@@ -145,23 +145,35 @@ def test_a_page_and_a_frame_of_any_kind(profile, tmp_path, name):
 ])  # fmt: skip
 def test_print_of_any_color_is_seen(ink, ground):
     share = INK[..., None] / 255
-    grey = to_grey(np.rint(share * ink + (1 - share) * ground).astype(np.uint8))
+    grey = GreyConverter().convert(np.rint(share * ink + (1 - share) * ground).astype(np.uint8))
     largest = np.abs(np.subtract(ink, ground)).max()
     assert abs(int(grey[INK == 255].mean()) - int(grey[INK == 0].mean())) >= 0.4 * largest
     assert abs(np.corrcoef(grey.ravel(), INK.ravel())[0, 1]) > 0.99
+
+
+def test_print_of_several_colors_is_seen():
+    """Luma would show the yellow print by 40 of its 205 levels."""
+    colors = [(0, 0, 0), (230, 57, 57), (140, 200, 255), (255, 218, 50)]
+    share = INK[..., None] / 255
+    lines = [np.rint(255 - share * np.subtract(255, color)) for color in colors]
+    grey = GreyConverter().convert(np.vstack(lines).astype(np.uint8))
+    for color, line in zip(colors, np.array_split(grey, len(colors)), strict=True):
+        assert 255 - int(line[INK == 255].mean()) >= 0.4 * (255 - min(color))
 
 
 def test_black_print_below_a_marker_stays_legible():
     yellow = np.dstack([PRINT, PRINT, np.where(np.arange(60)[:, None] < 50, 0, PRINT)])
     pale = np.full((40, 160, 3), 255, np.uint8)
     pale[10:30, 10:150] = (255, 225, 60)
-    grey = to_grey(np.vstack([yellow, pale]).astype(np.uint8))
+    grey = GreyConverter().convert(np.vstack([yellow, pale]).astype(np.uint8))
     assert grey[:40][PRINT[:40] == 255].min() - int(grey[:40][PRINT[:40] == 0].max()) > 100
 
 
 def test_luma_where_it_shows_all():
     red = np.dstack([np.full_like(PRINT, 255), PRINT, PRINT])
-    np.testing.assert_array_equal(to_grey(red), cv2.cvtColor(red, cv2.COLOR_RGB2GRAY))
+    np.testing.assert_array_equal(
+        GreyConverter().convert(red), cv2.cvtColor(red, cv2.COLOR_RGB2GRAY)
+    )
 
 
 def test_colors_of_16_bits_are_those_of_8(tmp_path):
@@ -177,8 +189,8 @@ def test_colors_of_16_bits_are_those_of_8(tmp_path):
 def test_colors_that_nobody_sees_do_not_count():
     red = np.dstack([np.full_like(PRINT, 255), PRINT, PRINT, np.full_like(PRINT, 255)])
     hidden = np.where(INK[..., None] > 127, (200, 60, 60, 0), (60, 140, 60, 0))
-    grey = to_grey(np.vstack([red, *[hidden] * 9]).astype(np.uint8))
-    np.testing.assert_array_equal(grey[: len(PRINT)], to_grey(red[..., :3]))
+    grey = GreyConverter().convert(np.vstack([red, *[hidden] * 9]).astype(np.uint8))
+    np.testing.assert_array_equal(grey[: len(PRINT)], GreyConverter().convert(red[..., :3]))
 
 
 @pytest.mark.parametrize("light", [True, False])
@@ -186,7 +198,7 @@ def test_colors_that_nobody_sees_do_not_count():
 def test_a_picture_with_print_goes_on_around_itself(light, around):
     """As of a window with a transparent frame, however large."""
     window = np.dstack([PRINT if light else INK] * 3 + [np.full_like(PRINT, 255)])
-    grey = to_grey(np.pad(window, ((around, around), (around, around), (0, 0))))
+    grey = GreyConverter().convert(np.pad(window, ((around, around), (around, around), (0, 0))))
     assert (grey[:around] == (255 if light else 0)).all()
     np.testing.assert_array_equal(grey[around:-around, around:-around], window[..., 0])
 
@@ -212,7 +224,7 @@ def test_frames_stay_comparable():
 @example(np.float32([[1.1754944e-38]]))
 @example(np.float32([[-3e38, 3e38]]))
 def test_no_pixels_are_too_much(pixels):
-    grey = to_grey(pixels)
+    grey = GreyConverter().convert(pixels)
     assert grey.dtype == np.uint8
     assert grey.shape == pixels.shape[:2]
 
