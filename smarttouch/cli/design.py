@@ -115,12 +115,31 @@ def list_profiles(context: typer.Context) -> None:
 
 
 @profiles.command()
-def show(name: _Name = "") -> None:
+def show(
+    name: _Name = "",
+    kicad: Annotated[
+        Path | None, option("Also write the array as a KiCad board into this folder.", "DIR")
+    ] = None,
+    svg: Annotated[Path | None, output_file("Also draw the array in true size.", "SVG")] = None,
+    fan_out: Annotated[
+        bool, option("Change output.wiring so that no tracks cross.", None, "--fan-out")
+    ] = False,
+) -> None:
     """Print all values of a profile, including defaults and calibrations."""
+    from smarttouch.base.files import write_bytes
+    from smarttouch.kernels import circuit_board
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.profile.toml_files import as_toml
 
-    typer.echo(as_toml(load_profile(name or DEFAULT_PROFILE)), nl=False)
+    chosen = load_profile(name or DEFAULT_PROFILE)
+    if fan_out:
+        output = chosen.output.model_dump() | {"wiring": circuit_board.fan_out(chosen)}
+        chosen = chosen.model_copy(update={"output": output})
+    if svg is not None:
+        write_bytes(svg, circuit_board.drawing(chosen))
+    if kicad is not None:
+        circuit_board.write_kicad(chosen, kicad)
+    typer.echo(as_toml(chosen), nl=False)
 
 
 @profiles.command()

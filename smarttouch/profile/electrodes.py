@@ -5,11 +5,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from smarttouch.base.errors import ProfileError
 from smarttouch.base.files import read_csv
@@ -20,12 +20,10 @@ from smarttouch.profile.toml_tables import (
     Table,
     UnfitError,
     raise_all,
-    table_error,
+    validated,
 )
 
 Shape = Literal["point", "disc", "annulus", "rectangle"]
-
-_Layout = TypeVar("_Layout", bound=Table)
 
 COINCIDENT_MM = 1e-3  # distance below which two electrodes count as duplicates
 
@@ -88,20 +86,20 @@ class ElectrodeArray:
     @cached_property
     def kinds(self) -> dict[tuple[Shape, tuple[float, float]], NDArray[np.intp]]:
         """Electrodes by shape and size, in order of first occurrence."""
-        every = self.own or ((self.shape, self.size_mm),) * len(self)
-        return {
-            kind: np.array(
-                [index for index, other_kind in enumerate(every) if other_kind == kind], np.intp
-            )
-            for kind in dict.fromkeys(every)
-        }
+        sites: dict[tuple[Shape, tuple[float, float]], list[int]] = {}
+        for site, kind in enumerate(self.own or ((self.shape, self.size_mm),) * len(self)):
+            sites.setdefault(kind, []).append(site)
+        return {kind: np.array(which, np.intp) for kind, which in sites.items()}
 
     @cached_property
     def area_mm2(self) -> NDArray[np.float64]:
         """Area of each electrode, (E,) mm²; a point counts as a disc of 1 mm."""
         areas = np.zeros(len(self))
-        for kind, which in self.kinds.items():
-            areas[which] = _area_mm2(*kind)
+        for (shape, (first, second)), which in self.kinds.items():
+            if shape == "point":
+                first, second = 1.0, 0.0
+            is_rectangle = shape == "rectangle"
+            areas[which] = first * second if is_rectangle else np.pi / 4 * (first**2 - second**2)
         return areas
 
     def _overlap(self, apart_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -120,15 +118,6 @@ class ElectrodeArray:
         """Width and height of the array, including cells, mm."""
         span = np.ptp(self.position_mm, axis=0)
         return float(span[0] + self.cell_mm[0]), float(span[1] + self.cell_mm[1])
-
-
-def _area_mm2(shape: Shape, size_mm: tuple[float, float]) -> float:
-    first, second = size_mm
-    if shape == "rectangle":
-        return first * second
-    if shape == "point":
-        first, second = 1.0, 0.0
-    return float(np.pi / 4 * (first**2 - second**2))
 
 
 class GridLayout(Table):
@@ -346,7 +335,7 @@ def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
     if numbers.shape[1] == 3:
         sizes = [(size, 0.0) for size in numbers[:, 2].tolist()]
         layout |= {"shapes": ["disc"] * len(numbers), "sizes_mm": sizes}
-    checked = _checked(FreeLayout, path, layout)
+    checked = validated(FreeLayout, path, layout)
     checked.build()
     return checked
 
@@ -366,11 +355,4 @@ def grid_of(size: str, pitch_mm: float, diameter_mm: float = 1.0) -> GridLayout:
         )
     pitches = {"pitch_x_mm": pitch_mm, "pitch_y_mm": pitch_mm, "diameter_mm": diameter_mm}
     layout = {"layout": "grid", "rows": match[1], "columns": match[2], **pitches}
-    return _checked(GridLayout, "the grid", layout)
-
-
-def _checked(kind: type[_Layout], name: object, layout: dict[str, Any]) -> _Layout:
-    try:
-        return kind.model_validate(layout)
-    except ValidationError as error:
-        raise table_error(ProfileError, name, error) from None
+    return validated(GridLayout, "the grid", layout)

@@ -44,7 +44,7 @@ def misfits(profile: "Profile") -> Iterator[UnfitError]:
 
 def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
     count = len(profile.electrodes)
-    masked, wiring = profile.output.masked, profile.output.wiring
+    masked = profile.output.masked
     if max(masked, default=0) >= count:
         yield UnfitError(
             f"output.masked lists {max(masked)}, but the array has electrodes 0 to {count - 1}: "
@@ -57,15 +57,20 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
             "at least two, shorten the list or repair the array",
             key="output.masked",
         )
-    if wiring is not None and len(wiring) != count:
-        yield _of_another_length("output.wiring", len(wiring), count, "leave it out")
     for key, values in (
+        ("output.wiring", profile.output.wiring),
+        ("limits.electrode_ma", profile.limits.electrode_ma),
         ("perception.threshold_ma", profile.perception.threshold_ma),
         ("perception.comfort_ma", profile.perception.comfort_ma),
         ("output.impedance_kohm", profile.output.impedance_kohm),
     ):
         if isinstance(values, tuple) and len(values) != count:
-            yield _of_another_length(key, len(values), count, "one for all")
+            one = key.endswith(("threshold_ma", "impedance_kohm"))
+            yield UnfitError(
+                f"{key} lists {len(values)} electrodes, the array has {count}: give {count} "
+                f"numbers, or {'one for all' if one else 'leave it out'}",
+                key=key,
+            )
     if profile.skin.medium == "plane" and profile.array.layout != "lines":
         yield UnfitError(
             f"skin.medium 'plane' does not go with array.layout {profile.array.layout!r}: "
@@ -80,15 +85,11 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
             "is a line: leave it out",
             key="kernels.neighbors",
         )
-    lowered = profile.limits.electrode_ma
-    if lowered is not None and len(lowered) != count:
-        yield _of_another_length("limits.electrode_ma", len(lowered), count, "leave it out")
 
 
 def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
-    lowered = profile.limits.electrode_ma
-    full_ma = profile.full_ma
-    strongest_of = _strongest_of(profile)
+    lowered, full_ma = profile.limits.electrode_ma, profile.full_ma
+    strongest_of = "comfort_ma" if profile.perception.comfort_ma else "threshold_ma × comfort_ratio"
     painful = full_ma <= profile.threshold_ma
     if painful.any():
         index = int(painful.argmax())
@@ -108,19 +109,13 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
             key="limits.electrode_ma",
             electrode=index,
         )
-    yield from _misfits_of_strongest(profile)
+    yield from _misfits_of_strongest(profile, float(full_ma.max()), strongest_of)
 
 
-def _strongest_of(profile: "Profile") -> str:
-    """Return the keys that determine the strongest current."""
-    if profile.perception.comfort_ma is not None:
-        return "comfort_ma"
-    return "threshold_ma × comfort_ratio"
-
-
-def _misfits_of_strongest(profile: "Profile") -> Iterator[UnfitError]:
-    full_ma, strongest_of = profile.full_ma, _strongest_of(profile)
-    limits, width_us, strongest = profile.limits, profile.pulse.width_us, float(full_ma.max())
+def _misfits_of_strongest(
+    profile: "Profile", strongest: float, strongest_of: str
+) -> Iterator[UnfitError]:
+    limits, width_us = profile.limits, profile.pulse.width_us
     if strongest > limits.current_ma:
         yield UnfitError(
             f"{strongest_of} reaches {strongest:.2f} mA, above limits.current_ma "
@@ -145,14 +140,6 @@ def _misfits_of_strongest(profile: "Profile") -> Iterator[UnfitError]:
             f"{limits.charge_uc}: lower {strongest_of} or pulse.width_us",
             key="limits.charge_uc",
         )
-
-
-def _of_another_length(key: str, numbers: int, electrodes: int, otherwise: str) -> UnfitError:
-    return UnfitError(
-        f"{key} lists {numbers} electrodes, the array has {electrodes}: "
-        f"give {electrodes} numbers, or {otherwise}",
-        key=key,
-    )
 
 
 _STILL = ("optics", "registration", "force")
@@ -359,11 +346,7 @@ def require_driven(
     count, masked = len(profile.electrodes), sorted(profile.output.masked)
     for low, high in ranges:
         there = 0 <= low <= high < count
-        bad = (
-            [masked_site for masked_site in masked if low <= masked_site <= high]
-            if there
-            else [low]
-        )
+        bad = [site for site in masked if low <= site <= high] if there else [low]
         if bad:
             named = f"{low}-{high}" if high != low and not there else f"{bad[0]}"
             without = f" without {', '.join(map(str, masked))}" if masked else ""

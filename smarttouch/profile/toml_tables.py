@@ -78,11 +78,15 @@ Found = tuple[str, dict[str, Any]]  # message, and attributes of the error
 
 def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
     """Load a TOML file as a model, with additional values."""
-    table = read_toml(path, ProfileError)
+    return validated(kind, path, read_toml(path, ProfileError) | more)
+
+
+def validated(kind: type[_Table], name: object, table: dict[str, Any]) -> _Table:
+    """Return a table as a model. Raises ProfileError, with a name for it."""
     try:
-        return kind.model_validate(table | more)
+        return kind.model_validate(table)
     except ValidationError as error:
-        raise table_error(ProfileError, path, error) from None
+        raise table_error(ProfileError, name, error) from None
 
 
 def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Error:
