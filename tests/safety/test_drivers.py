@@ -2,6 +2,7 @@
 
 import dataclasses
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -69,16 +70,21 @@ def test_only_the_gate_makes_what_can_be_sent():
                 make(driver.proved[0])
 
 
-@pytest.mark.parametrize(
-    "foreign", [None.__class__, lambda: sequence(1, 5000), lambda: object.__new__(ProvedSequence)]
-)
+def look_alike(proved):
+    """Return what has all that a proved sequence has, around a stronger one."""
+    names = [field.name for field in dataclasses.fields(proved)]
+    fields = {name: getattr(proved, name) for name in names}
+    return SimpleNamespace(**fields | {"sequence": sequence(1, 5000)})
+
+
+@pytest.mark.parametrize("foreign", [
+    lambda _: sequence(1, 5000), lambda _: object.__new__(ProvedSequence), look_alike,
+], ids=["sequence", "empty", "look-alike"])  # fmt: skip
 def test_nothing_else_is_driven(foreign):
     with board_of(driver := Theirs()) as board:
         board.send(sequence(0))
-        what = foreign()
-        if what is not None:
-            with pytest.raises((BoardError, AttributeError)):
-                driver.drive(what)
+        with pytest.raises((BoardError, AttributeError)):
+            driver.drive(foreign(driver.proved[0]))
     assert driver.flows == [0]
 
 
