@@ -28,10 +28,11 @@ class Theirs(Driver):
 
     def __init__(self, act=lambda driver, proved: None):
         self.act, self.flows, self.zeros, self.proved = act, [], 0, []
+        self.most_ma = 5.0
 
     def open(self, line, limits):
         self.line, self.limits = line, limits
-        return Capabilities(8, "weighted", 5.0, 256, time_to_zero_ms=0.0, firmware="")
+        return Capabilities(8, "weighted", self.most_ma, 256, time_to_zero_ms=0.0, firmware="")
 
     def write(self, proved):
         self.proved.append(proved)
@@ -99,6 +100,18 @@ def test_limits_that_a_driver_widens_are_its_own():
         with raises(SafetyError, limit="current_ma"):
             board.send(sequence(1, 3500))
     assert driver.flows == [0]
+
+
+def test_no_driver_gets_more_than_its_board_can_make():
+    """Its counts, of a byte perhaps, would be those of another current."""
+    driver = Theirs()
+    driver.most_ma = 0.2
+    with board_of(driver) as board:
+        board.send(sequence(0))
+        board.send(sequence(1, 200))
+        with raises(BoardError, value=0.201, allowed=0.2):
+            board.send(sequence(2, 201))
+    assert driver.flows == [0, 200]
 
 
 @pytest.mark.parametrize("thread", [False, True])
