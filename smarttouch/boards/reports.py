@@ -78,7 +78,8 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class BoardReport:
-    """Report of what a board has delivered since it was opened."""
+    """Report of what a board has delivered since it was opened; the largest values of a board's own
+    report are since it was switched on."""
 
     sequences: int
     slots: int

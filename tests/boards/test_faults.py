@@ -81,6 +81,15 @@ def test_what_a_board_cannot_deliver_is_named(make_limits):
             board.send(replace(silent(8), **phase))
 
 
+def test_a_board_that_stays_on_counts_for_each_run(make_limits, make_sequence, start_emulator):
+    _, port = start_emulator()
+    for _ in range(2):
+        with make_board(f"link:{port}", make_limits()) as board:
+            deliver(board, make_sequence(0), make_sequence(1, level_ua=350))
+            report = board.report()
+        assert (report.sequences, report.slots, report.pulses) == (2, 4, 32)
+
+
 def test_a_missing_or_a_silent_port_is_reported(make_limits):
     with pytest.raises(BoardError):
         make_board("link:", make_limits()).open()

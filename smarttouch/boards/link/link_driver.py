@@ -45,6 +45,7 @@ MOST_COMPLIANCES = (
 OPEN_SHARE = 0.97  # share of the compliance; if all slots reach it, nothing touches the electrodes
 _PIECE = 1024  # bytes of kernels in one packet, which blocks the line
 _IDLE = 3  # attempts without newly stored kernels
+_COUNTED = "sequences", "slots", "pulses", "violations", "refused_packets"
 
 
 class LinkSession:
@@ -302,7 +303,7 @@ class LinkDriver(Driver):
         self._number = 0
         self._last_report: BoardReport | None = None  # of the stopped board
         self._report: BoardReport  # at the last opening
-        self._refused_before = 0  # packets refused before the first opening
+        self._first: BoardReport  # at the first opening, or after the board was switched on again
         self._slots_sent = 0  # since the last opening, including repetitions
         self._unsafe_refused = 0  # refused sequences; repeated ones may count twice
         self._suspicion = ""  # fault found in reports, until the board is latched
@@ -326,8 +327,9 @@ class LinkDriver(Driver):
         self._give_kernels()
         self._report, self._last_report = self._ask_report(), None
         self._slots_sent = self._unsafe_refused = 0
-        if not line.reopened:
-            self._refused_before = self._report.refused_packets
+        # A board counts from when it was switched on.
+        if not line.reopened or self._report.sequences < self._first.sequences:
+            self._first = self._report
         assert self.can is not None
         return self.can
 
@@ -538,8 +540,9 @@ class LinkDriver(Driver):
                 raise self._line.fault(
                     f"the board reports {reported:g} {unit}, more than the {allowed:g} possible"
                 )
-        refused = max(0, now.refused_packets - self._refused_before)
-        return replace(now, refused_packets=refused, refused_by_host=self._session.refused)
+        first = self._first
+        counted = {name: max(0, getattr(now, name) - getattr(first, name)) for name in _COUNTED}
+        return replace(now, **counted, refused_by_host=self._session.refused)
 
     # -- packets of the board ----------------------------------------------
 
