@@ -66,15 +66,16 @@ def planned_pulses(sequence: ScanSequence, times: int) -> list[SentPulse]:
 def assert_same_pulses(
     found: Sequence[SentPulse], wanted: Sequence[SentPulse], step_ua: float, step_us: float
 ) -> None:
-    """Fail unless pulses are as planned, rounded to the steps of the device."""
+    """Fail unless pulses are as planned, rounded to the steps of the device, and balanced."""
     assert len(found) == len(wanted), f"{len(found)} pulses where {len(wanted)} were proved"
     for number, (pulse, plan) in enumerate(zip(found, wanted, strict=True)):
+        message = f"pulse {number} of {len(wanted)}: "
+        assert abs(sum(pulse.current_ua)) <= step_ua / 2, message + "currents do not add up to zero"
         for name, flows in vars(pulse).items():
             proved = getattr(plan, name)
             if flows is not None and proved is not None:
-                atol = (step_ua if name == "current_ua" else step_us) / 2 + 1e-6
-                message = f"pulse {number} of {len(wanted)}: {name}"
-                np.testing.assert_allclose(flows, proved, rtol=0, atol=atol, err_msg=message)
+                atol = (step_ua if name == "current_ua" else step_us / 2) + 1e-6
+                np.testing.assert_allclose(flows, proved, 0, atol, err_msg=message + name)
 
 
 class AtLine:
@@ -139,7 +140,7 @@ class DriverContract:
     intensity, level_ua : float, int
         Intensity and current of the test sequences, so low that no ramp is needed.
     step_ua, step_us : float, µA, µs
-        Steps to which the device rounds currents and times.
+        Steps to which the device rounds currents and times; currents still add up to zero.
     keeps_order : bool
         Whether slots are delivered in the order of the sequence; False if the device scans by
         index.

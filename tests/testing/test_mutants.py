@@ -69,6 +69,7 @@ OTHERS = {
     "Hundredfold": lambda sent: {"current_ua": sent.current_ua.astype(int) * 100},
     "Twofold": lambda sent: {"current_ua": sent.current_ua * 2},
     "FiftiethMore": lambda sent: {"current_ua": (sent.current_ua * 1.02).round().astype(int)},
+    "Unbalanced": lambda sent: {"current_ua": sent.current_ua + (np.arange(8) == 7)},
     "Swapped": lambda sent: {"current_ua": sent.current_ua[:, [0, 1, 2, 3, 4, 5, 7, 6]]},
     "Backwards": lambda sent: {"current_ua": sent.current_ua[::-1]},
     "Unmasked": lambda sent: {"current_ua": np.where(sent.current_ua == 0, 20, sent.current_ua)},
@@ -142,13 +143,13 @@ ANY_LINE = "a_stop_at_any_line_of_the_driver[send]"
 CLOSES = {"closing_puts_it_at_zero[closed]", "closing_puts_it_at_zero[broken]"}
 FOUND = {
     **dict.fromkeys(
-        ("Reversed", "OnePolarity", "Wide", "Hundredfold", "Twofold", "FiftiethMore", "Swapped",
-         "Backwards", "Unmasked", "Undischarged", "Faster", "Once", "Twice"), SENT,
+        ("Reversed", "OnePolarity", "Wide", "Hundredfold", "Twofold", "FiftiethMore", "Unbalanced",
+         "Swapped", "Backwards", "Unmasked", "Undischarged", "Faster", "Once", "Twice"), SENT,
     ),
     "LooksNotAtStop": {ANY_LINE}, "LooksTooEarly": {ANY_LINE},
     "StopsNot": CLOSES | {ANY_LINE}, "StopsLater": {ANY_LINE}, "ClosesWithCurrent": CLOSES,
 }  # fmt: skip
-DRAWN = ("FiftiethMore", "LooksTooEarly", "StopsLater", "ClosesWithCurrent")
+DRAWN = ("FiftiethMore", "Unbalanced", "LooksTooEarly", "StopsLater", "ClosesWithCurrent")
 """One of each kind."""
 
 
