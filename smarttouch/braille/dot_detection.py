@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 _SIDES_PX = (350, 700, 1400)
 """Longer sides to which a picture is scaled in turn, because dots may be small or large."""
@@ -49,7 +48,8 @@ def _has_cells(dots: NDArray[np.float64]) -> bool:
     """Return whether dots form cells: most have a neighbor, but none has two in its row."""
     if not len(dots):
         return False
-    distance, neighbors = map(np.asarray, cKDTree(dots).query(dots, k=9))
+    points = dots.astype(np.float32)
+    distance, neighbors = cv2.batchDistance(points, points, cv2.CV_32F, normType=cv2.NORM_L2, K=9)
     steps = (dots[neighbors[:, 1:]] - dots[:, None]) @ (1, 1j) / np.median(distance[:, 1])
     # Rows and columns are perpendicular, so the fourth powers of all directions are equal.
     to_nearest = steps[:, 0] / abs(steps[:, 0])

@@ -100,9 +100,11 @@ def _find_paper(small: Grey, side: float) -> Grey:
     near = _closed(small, side)
     far = cv2.resize(_closed(near[::4, ::4], 5 * side / 4), near.shape[::-1])
     # Dark areas wider than the window are headlines, unless they reach the edge.
-    _, labels = cv2.connectedComponents((near < 0.4 * far).view(np.uint8))
-    edge = np.unique(np.hstack([[0], labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    paper = np.where(np.isin(labels, edge), near, far) if labels.any() else near
+    count, labels = cv2.connectedComponents((near < 0.4 * far).view(np.uint8))
+    at_edge = np.arange(count) < 1
+    for side_labels in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        at_edge[side_labels] = True
+    paper = np.where(at_edge[labels], near, far) if count > 1 else near
     # At the edge of a sheet or a shadow use the darker side.
     paper = cv2.erode(paper, np.ones((5, 5), np.uint8))
     least = max(40, np.percentile(paper[::2, ::2], 95) / 4)

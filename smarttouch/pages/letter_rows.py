@@ -218,16 +218,13 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
 def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     """Return links from letters to the next ones on the right, cheapest first: (L,) indices of
     both, and gaps, px."""
-    from scipy.spatial import cKDTree
-
     height, middle = letters.height, (letters.top + letters.bottom) / 2
     # Weight vertical distance twice.
-    tree = cKDTree(np.column_stack([letters.left, 2 * middle]))
-    reach = 2 * _WIDEST_GAP * float(height.max())
-    ends = np.column_stack([letters.right, 2 * middle])
-    _, neighbors = tree.query(ends, k=_NEIGHBORS, distance_upper_bound=reach)
-    first, second = np.repeat(np.arange(len(height)), _NEIGHBORS), neighbors.ravel()
-    first, second = first[second < len(height)], second[second < len(height)]
+    starts = np.column_stack([letters.left, 2 * middle]).astype(np.float32)
+    ends = np.column_stack([letters.right, 2 * middle]).astype(np.float32)
+    count = min(_NEIGHBORS, len(height))
+    _, neighbors = cv2.batchDistance(ends, starts, cv2.CV_32F, normType=cv2.NORM_L2, K=count)
+    first, second = np.repeat(np.arange(len(height)), count), neighbors.ravel().astype(np.intp)
     one, other = letters.of(first), letters.of(second)
     taller = np.maximum(one.height, other.height)
     lower = np.minimum(one.height, other.height)

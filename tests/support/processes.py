@@ -29,7 +29,7 @@ _SUBREAPER = 36
 _LONGEST = 1 << 20
 _MOST_FILES = 1 << 10
 _IMPORTED = (
-    "scipy.spatial", "smarttouch.boards.kits.etactilekit", "smarttouch.boards.kits.kajimoto61",
+    "smarttouch.boards.kits.etactilekit", "smarttouch.boards.kits.kajimoto61",
     "smarttouch.boards.link.link_driver", "smarttouch.emulator.__main__",
     "smarttouch.emulator.etactilekit_firmware", "smarttouch.emulator.kajimoto61_firmware",
     "smarttouch.emulator.link_firmware", "smarttouch.experiments.calibration",
