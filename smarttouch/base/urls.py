@@ -3,8 +3,7 @@
 import inspect
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from difflib import get_close_matches
-from importlib.metadata import EntryPoint, entry_points
+from importlib import import_module
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -30,13 +29,18 @@ class Registry:
     @property
     def names(self) -> list[str]:
         """All names, sorted."""
+        from importlib.metadata import entry_points
+
         return sorted({*self._built_in, *entry_points(group=self._group).names})
 
     def find(self, url: str) -> tuple[Callable[..., Any], str]:
         """Return the opener for ``url`` and the part of the URL after the name."""
         name, colon, rest = url.partition(":")
         if colon and name in self._built_in:
-            return EntryPoint(name, self._built_in[name], self._group).load(), rest
+            module, _, opener = self._built_in[name].partition(":")
+            return getattr(import_module(module), opener), rest
+        from importlib.metadata import entry_points
+
         if not colon or name not in self.names:
             raise unknown(self._what, url, self.names, self._error)
         points = entry_points(group=self._group, name=name)
@@ -67,6 +71,8 @@ def unknown(
     kind: str, url: str, known: Sequence[str], error: type[SmartTouchError]
 ) -> SmartTouchError:
     """Return the error for a URL with an unknown name."""
+    from difflib import get_close_matches
+
     name, colon, _ = url.partition(":")
     close = [name] if name in known else get_close_matches(name.lower(), known, 1, 0.75)
     if close:

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SmartTouchError, choice_of, require_within
+from smarttouch.base.stopping import SIGNALS
 from smarttouch.base.urls import options_of, read_options
 from smarttouch.boards.link import OUTPUTS
 from smarttouch.emulator.device_lines import PtyLine, TcpLine
@@ -23,7 +24,6 @@ from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_rules import Room
 from smarttouch.emulator.skin import EmulatedFinger
-from smarttouch.sources.serial_array import encode_force, encode_frame
 
 BOARDS = {"link": (64, 1, 4096), "kajimoto61": (61, 61, 61), "etactilekit": (32, 1, 255)}
 """Default, smallest and largest number of electrodes of each board."""
@@ -143,16 +143,23 @@ class Server:
         host.
 
         Ctrl-C ends the device only if ``linger_s`` is infinite: otherwise it is meant for the host,
-        which stops the board and closes the port.
+        which stops the board and closes the port. If it is finite, SIGHUP ends the device as soon
+        as it has no host.
         """
-        ended = False
+        ended, signals = (
+            False,
+            SIGNALS if math.isfinite(linger_s) else (signal.SIGTERM, signal.SIGINT),
+        )
 
         def end(number: int, _frame: FrameType | None) -> None:
-            nonlocal ended
-            ended |= number == signal.SIGTERM or math.isinf(linger_s) or not self._hosted
+            nonlocal ended, linger_s
+            if number not in (signal.SIGTERM, signal.SIGINT):
+                linger_s = -_FIRST_HOST_S
+            else:
+                ended |= number == signal.SIGTERM or math.isinf(linger_s) or not self._hosted
 
-        signal.signal(signal.SIGTERM, end)
-        signal.signal(signal.SIGINT, end)
+        for number in signals:
+            signal.signal(number, end)
         books = self._firmware.books
         books.write()
         # Print after setting handlers: a reader of the name may send a signal at once.
@@ -239,7 +246,10 @@ class SensorArray(SensorFirmware):
     """Sensor array of 64 x 64 pixels that sees random blocks move from right to left."""
 
     def __init__(self, rate_hz: float) -> None:
+        from smarttouch.sources.serial_array import encode_frame
+
         super().__init__(rate_hz)
+        self._encode = encode_frame
         coarse = np.random.default_rng(0).integers(0, 2, (_SIDE // _BLOCK, _PATTERN_SIDE // _BLOCK))
         blocks = np.kron(coarse, np.ones((_BLOCK, _BLOCK)))
         self._pattern = np.where(blocks, 220, 40).astype(np.uint8)
@@ -247,7 +257,7 @@ class SensorArray(SensorFirmware):
     def packet(self, number: int, time_s: float) -> bytes:
         start = int(time_s * _PATTERN_PIXELS_S) % (_PATTERN_SIDE - _SIDE)
         image = self._pattern[:, start : start + _SIDE]
-        return encode_frame(number, round(time_s * 1e6), image)
+        return self._encode(number, round(time_s * 1e6), image)
 
 
 class EmulatedLoadCell(SensorFirmware):
@@ -255,7 +265,10 @@ class EmulatedLoadCell(SensorFirmware):
     instead of lines of text."""
 
     def __init__(self, force_n: float, framed: bool = False, rate_hz: float = 80.0) -> None:
+        from smarttouch.sources.serial_array import encode_force
+
         super().__init__(rate_hz)
+        self._encode = encode_force
         self.force_n: float = force_n
         self._framed = framed
         self._random = np.random.default_rng(0)
@@ -265,5 +278,5 @@ class EmulatedLoadCell(SensorFirmware):
         counts = round(ZERO_COUNTS + COUNTS_PER_N * self.force_n + noise)
         reading = min(max(counts, -_LARGEST_RAW - 1), _LARGEST_RAW)
         if self._framed:
-            return encode_force(number, round(time_s * 1e6), reading)
+            return self._encode(number, round(time_s * 1e6), reading)
         return f"HX711 reading: {reading}\r\n".encode()

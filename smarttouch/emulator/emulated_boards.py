@@ -1,9 +1,12 @@
 """Drivers of boards without hardware: emulated in this process or their own, or in memory."""
 
+import os
 import select
+import signal
 import subprocess
 import sys
 import time
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -198,6 +201,7 @@ class MemoryDriver(Driver):
 
 _STARTS_WITHIN_S = 30.0  # longest start of the process, on a busy computer
 _ENDS_WITHIN_S = 3.0
+_FIRST_HOST_S = 5.0  # shorter than the wait of the process for its first host
 _SPEAKS_WITHIN_S = 5.0  # host timeout: the process may wait for a processor
 
 
@@ -225,11 +229,14 @@ class EmulatorDriver(LinkDriver):
         url += f"&ramp_ms={link_rules.RAMP_MS}"
         url += "".join(f"&event={quote(event)}" for event in events)
         url += "" if books is None else f"&books={quote(str(books))}"
+        self._url = url
         self.process: EmulatorProcess = EmulatorProcess(url)
         self._session.answer_s = self._session.silence_s = _SPEAKS_WITHIN_S
 
     def _connect(self) -> None:
-        self._line.connect(self.process.start(self._line))
+        if not (self._line.reopened or self.process.is_usable):
+            self.process = EmulatorProcess(self._url)
+        self._line.connect(self.process.port(self._line))
 
     def close(self) -> None:
         super().close()
@@ -239,62 +246,66 @@ class EmulatorDriver(LinkDriver):
 
 
 class EmulatorProcess:
-    """Process that emulates the board of a URL, see `devices`, while its port is open."""
+    """Process that emulates the board of a URL, see `devices`, until its host is gone.
+
+    It starts at once, so that it is ready when its port is needed, and ends with this object.
+    """
 
     def __init__(self, url: str) -> None:
-        self._url = url
-        self._process: subprocess.Popen[bytes] | None = None
-        self._port = ""
-
-    @property
-    def process_id(self) -> int:
-        assert self._process is not None
-        return self._process.pid
+        command = [sys.executable, "-m", "smarttouch.emulator", url]
+        # A new session, so that Ctrl-C in the terminal does not reach the board.
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+        self._begun_s, self._port = time.monotonic(), ""
+        self._end = weakref.finalize(self, _end, self._process, os.getpid())
 
     @property
     def has_ended(self) -> bool:
-        return self._process is not None and self._process.poll() is not None
+        return self._process.poll() is not None
 
-    def start(self, line: Line) -> str:
-        """Start the process, and return the name of its port; a stop ends the wait."""
-        if line.reopened:
-            if self.has_ended:
-                raise BoardError("the emulator's process has ended")
-            return self._port
-        command = [sys.executable, "-m", "smarttouch.emulator", self._url]
-        # A new session, so that Ctrl-C in the terminal does not reach the board.
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
-        self._process = process
+    @property
+    def is_usable(self) -> bool:
+        """Whether it has not ended, and does not end soon because no host has come."""
+        waits = self._port or time.monotonic() < self._begun_s + _FIRST_HOST_S
+        return self._end.alive and not self.has_ended and bool(waits)
+
+    def port(self, line: Line) -> str:
+        """Wait until the process has started, and return the name of its port; a stop ends the
+        wait."""
+        if self.has_ended and self._port:
+            raise BoardError("the emulator's process has ended")
         try:
-            self._port = self._printed_port(process, line)
+            self._port = self._port or self._printed_port(line)
         except BaseException:
             # No host will connect.
-            process.terminate()
             self.end()
             raise
         return self._port
 
-    def _printed_port(self, process: "subprocess.Popen[bytes]", line: Line) -> str:
-        assert process.stdout is not None
-        deadline = time.monotonic() + _STARTS_WITHIN_S
-        with process.stdout as output:
-            while not select.select([output], [], [], 0.02)[0]:
-                line.require_running()
-                if time.monotonic() > deadline:
-                    raise BoardError(
-                        f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this "
-                        "computer is too busy, try again"
-                    )
-            if not (printed := output.readline()):
-                raise BoardError(f"the emulator did not start (exit {process.wait()})")
+    def _printed_port(self, line: Line) -> str:
+        output, deadline = self._process.stdout, time.monotonic() + _STARTS_WITHIN_S
+        assert output is not None
+        while not select.select([output], [], [], 0.02)[0]:
+            line.require_running()
+            if time.monotonic() > deadline:
+                raise BoardError(
+                    f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this "
+                    "computer is too busy, try again"
+                )
+        if not (printed := output.readline()):
+            raise BoardError(f"the emulator did not start (exit {self._process.wait()})")
         return printed.decode().strip()
 
     def end(self) -> None:
-        """Wait until the process ends without its host; terminate it if it does not."""
-        if self._process is None:
-            return
-        try:
-            self._process.wait(_ENDS_WITHIN_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        """End the process, whose host is gone."""
+        self._end()
+
+
+def _end(process: "subprocess.Popen[bytes]", owner: int) -> None:
+    # A forked process leaves it to its parent.
+    if owner == os.getpid():
+        with process:
+            process.send_signal(signal.SIGHUP)
+            try:
+                process.wait(_ENDS_WITHIN_S)
+            except subprocess.TimeoutExpired:
+                process.kill()

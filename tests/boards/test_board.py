@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import threading
 from dataclasses import replace
 
@@ -198,13 +199,18 @@ def test_halting_ends_the_wait_for_a_board_that_does_not_answer(monkeypatch, dea
     assert isinstance(Opening(board).halted(), BoardStoppedError)
 
 
-def test_halting_ends_the_start_of_an_emulator():
-    board = make_board("emulator:", KIT_LIMITS)
-    board.driver.process._command = ["sleep", "600"]
+def test_halting_ends_the_start_of_an_emulator(monkeypatch, tmp_path):
+    slow = tmp_path / "slow"
+    slow.write_text("#!/bin/sh\nexec sleep 600\n")
+    slow.chmod(0o755)
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "executable", str(slow))
+        board = make_board("emulator:", KIT_LIMITS)
     opening = Opening(board)
     assert isinstance(opening.halted(), BoardStoppedError)
-    process = board.driver.process._process
-    assert process is None or process.poll() is not None
+    process = board.driver.process
+    process.end()
+    assert process.has_ended
 
 
 @pytest.mark.parametrize("long", [False, True])
