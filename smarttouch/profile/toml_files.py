@@ -2,16 +2,17 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import tomlkit
 from pydantic import ValidationError
-from tomlkit.items import Array
 
 from smarttouch.base.errors import ProfileError
 from smarttouch.base.files import data_folder, read_toml
 from smarttouch.profile.profile import Profile
 from smarttouch.profile.toml_tables import Table, table_error
+
+if TYPE_CHECKING:
+    from tomlkit.items import Array
 
 DEFAULT_PROFILE = "electric-mouse"
 
@@ -116,6 +117,8 @@ _A_LINE = 8  # numbers on one line of a long list
 
 def as_toml(profile: Profile) -> str:
     """Return all values of a profile as TOML, including defaults."""
+    import tomlkit
+
     return tomlkit.dumps(profile.model_dump(exclude={"name"}, exclude_none=True))
 
 
@@ -132,8 +135,10 @@ def difference(one: Profile, other: Profile) -> str | None:
     return None
 
 
-def in_rows(values: Sequence[Any]) -> Array:
+def in_rows(values: Sequence[Any]) -> "Array":
     """Return a list as TOML, in several rows if it is long."""
+    import tomlkit
+
     rows = tomlkit.array()
     if len(values) <= _A_LINE:
         rows.extend(values)

@@ -3,7 +3,6 @@
 import contextlib
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any, Self
 
@@ -260,6 +259,8 @@ def show_together(
     >>> [each.sequences for each in shown.values()]
     [10, 10]
     """
+    from concurrent.futures import ThreadPoolExecutor
+
     canceled = threading.Event()
     with ThreadPoolExecutor(max(1, len(patterns)), "show", CANCELED.set, (canceled,)) as pool:
         try:

@@ -1,6 +1,5 @@
 """Programs as sources of a run, which show patterns one after another or put the latest one."""
 
-import asyncio
 import contextlib
 import math
 import threading
@@ -317,6 +316,8 @@ class Program(Source, Listener):
         self, pattern: Pattern, seconds: float, level: Level = 1.0, rate_hz: float | None = None
     ) -> Shown:
         """Show a pattern like `show`, while other tasks continue; canceling the task ends it."""
+        import asyncio
+
         call = partial(self.show, pattern, seconds, level, rate_hz=rate_hz)
         canceled = threading.Event()
         token = CANCELED.set(canceled)

@@ -24,8 +24,6 @@ from smarttouch.running.display import Display, open_display
 from smarttouch.running.loop import Controls, ControlState, Loop, emit_to, steady_environment
 from smarttouch.running.pipeline import Pipeline, make_regulator
 from smarttouch.running.program import Program
-from smarttouch.running.recorded_source import RecordedControls, RecordingSource
-from smarttouch.running.recording import RecordedRun
 from smarttouch.running.recording_format import recorded_settings
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import Listener, RunContext, Step, StepResult, as_listeners
@@ -428,6 +426,9 @@ def replay(
     >>> st.replay(path, display).slots == first.slots
     True
     """
+    from smarttouch.running.recorded_source import RecordedControls, RecordingSource
+    from smarttouch.running.recording import RecordedRun
+
     recording = RecordedRun(path)
     config = recording.run.model_copy(update={"hold": None, "balance": False} | dict(settings))
     return Runner(

@@ -3,7 +3,6 @@
 import inspect
 import re
 from collections.abc import Iterable
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +61,8 @@ def source_url(name: str) -> str:
     if path is not None:
         return f"{kind_of(path)}:{name}"
     known = SOURCES.names  # reads what is installed, which takes a while
+    from difflib import get_close_matches
+
     if name in known or (len(name) > 3 and get_close_matches(name.lower(), known, 1, 0.8)):
         raise unknown("source", name, known, SourceError)
     return f"text:{name}"

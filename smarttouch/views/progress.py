@@ -3,10 +3,12 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-
-from rich.progress import Progress
+from typing import TYPE_CHECKING
 
 from smarttouch.views import terminal
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 _LINE_S = 10.0
 Advance = Callable[[int, int], None]  # called with the numbers done and in all
@@ -20,17 +22,21 @@ def bank_progress() -> AbstractContextManager[Advance]:
 @contextmanager
 def progress(title: str = "Reading lines") -> Iterator[Advance]:
     """Show progress; yield the function to call."""
-    bar = Progress(console=terminal.console(stderr=True), transient=True)
-    task = bar.add_task(title)
+    bar: Progress | None = None
     begun_s = printed_s = time.monotonic()
 
     def advance(done: int, total: int) -> None:
-        nonlocal printed_s
+        from rich.progress import Progress
+
+        nonlocal bar, printed_s
         now_s = time.monotonic()
+        if bar is None:
+            bar = Progress(console=terminal.console(stderr=True), transient=True)
+            bar.add_task(title)
         if terminal.draws(bar.console):
             # Start the bar only if there is work.
             bar.start()
-            bar.update(task, completed=done, total=total)
+            bar.update(bar.task_ids[0], completed=done, total=total)
         elif done and now_s > printed_s + _LINE_S:
             printed_s = now_s
             left_s = (now_s - begun_s) * (total - done) / done
@@ -39,7 +45,7 @@ def progress(title: str = "Reading lines") -> Iterator[Advance]:
     try:
         yield advance
     finally:
-        if bar.live.is_started:
+        if bar is not None and bar.live.is_started:
             bar.stop()
 
 

@@ -20,7 +20,6 @@ from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.loop import STEP, Controls, ControlState
-from smarttouch.running.recording import RecordedRun
 from smarttouch.running.runner import MakeControls, Runner
 from smarttouch.running.step import Listener, RunContext
 from smarttouch.sources.force import ForceSource
@@ -35,6 +34,7 @@ from smarttouch.views.progress import bank_progress
 from smarttouch.views.screen import BlindScreen, Screen
 
 if TYPE_CHECKING:
+    from smarttouch.running.recording import RecordedRun
     from smarttouch.views.window import Window
 
 OPENED_WITHIN_S = 60.0  # longest wait for a page if somebody must copy its address
@@ -181,6 +181,8 @@ def _keys_of(stop: StopRequest, keys: Keys, run: RunContext) -> Callable[[str], 
 
 def describe_recording(path: Path) -> list[tuple[str, str]]:
     """Return the summary of a recording as pairs of name and value."""
+    from smarttouch.running.recording import RecordedRun
+
     recording = RecordedRun(path)
     settings, steps = recording.settings, [step for _, step in recording.contents("/step")]
     modes = Counter(step["mode"] for step in steps)
@@ -203,7 +205,7 @@ def describe_recording(path: Path) -> list[tuple[str, str]]:
     return [("state", _state(recording)), *rows]
 
 
-def _state(recording: RecordedRun) -> str:
+def _state(recording: "RecordedRun") -> str:
     if recording.whole:
         return "complete"
     if recording.damaged_chunks:
