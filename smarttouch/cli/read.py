@@ -57,9 +57,9 @@ class DocumentOptions(OptionGroup):
     def recognition(self, source: str) -> "tuple[str, RecognitionOptions]":
         """Return the document and its options, including those after its name."""
         from smarttouch.base.urls import all_options
-        from smarttouch.pages.document import password_of
         from smarttouch.pages.text_file import FileKind, file_kind
         from smarttouch.reading.recognition import RecognitionOptions
+        from smarttouch.sources.virtual_finger import password_of
 
         source = address = source.removeprefix("page:")
         accepted = dict[str, Any]()

@@ -2,12 +2,10 @@
 
 import contextlib
 import ctypes
-import getpass
 import itertools
 import math
 import re
 import statistics
-import sys
 import unicodedata
 from collections import Counter
 from collections.abc import Iterator
@@ -19,7 +17,7 @@ import cv2
 import numpy as np
 
 from smarttouch.base.errors import PageError, require_within
-from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file, read_text
+from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
 from smarttouch.base.stopping import Closing
 from smarttouch.imaging.grey_image import GreyConverter, open_image, page_frames, read_pixels
 from smarttouch.pages.page_image import (
@@ -46,7 +44,6 @@ _LEAST_BELIEVED_DPI = 50.0
 _SIGNATURE, _SIGNATURE_WITHIN = b"%PDF-", 1024
 """Header of a PDF, and the number of bytes in which readers search for it (ISO 32000-1, Annex
 H.3.4.1)."""
-_MOST_PASSWORD_BYTES = 4096
 
 
 class LockedError(PageError):
@@ -57,9 +54,9 @@ class Document(Closing):
     """Pages of a PDF, TIFF or other image, identified by content and loaded on request.
 
     A PDF is rendered, including filled-in forms, and provides its text. An image file is open only
-    during loading. Only one thread at a time may load pages. ``notes`` lists assumptions;
-    ``has_scale`` is whether the file reliably states the page size, as PDFs do. ``dpi`` replaces an
-    image's resolution, or the 300 for rendering PDFs; ``page_width_mm`` replaces the scale.
+    during loading. Only one thread at a time may load pages. ``notes`` lists assumptions. ``dpi``
+    replaces an image's resolution, or the 300 for rendering PDFs; ``page_width_mm`` replaces the
+    scale.
     """
 
     def __init__(
@@ -79,7 +76,6 @@ class Document(Closing):
         self.notes: list[str] = []
         self._dpi, self._page_width_mm = dpi, page_width_mm
         self._pdf = _open_pdf(path, password)
-        self.has_scale: bool = self._pdf is not None
         self._frames: list[int] = []
         if self._pdf is None:
             with open_image(path) as image:
@@ -153,46 +149,6 @@ class Document(Closing):
             grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
         page = Page(grey, mm_per_pixel)
         return _with_text(page, signs, point_mm) if signs else page
-
-
-def password_of(path: Path, password_file: str | None = None) -> str | None:
-    """Return the password of a document, or None if it needs none.
-
-    It is the first line of a file, or of standard input for ``-``; the default is to ask at the
-    terminal.
-    """
-    if password_file is None:
-        try:
-            Document(path).close()
-        except LockedError:
-            if not sys.stdin.isatty():
-                raise
-            return getpass.getpass(f"Password of {path.name}: ")
-        return None
-    text = (
-        sys.stdin.readline() if password_file == "-"
-        else read_text(Path(password_file), PageError, _MOST_PASSWORD_BYTES)
-    )  # fmt: skip
-    if password := text.partition("\n")[0].rstrip("\r"):
-        return password
-    raise PageError(f"no password in the first line of {password_file}: write it there")
-
-
-def parse_pages(text: str, count: int) -> list[int]:
-    """Parse a list of pages such as ``1,3-5`` or ``7-``; return indices from 0."""
-    indexes: list[int] = []
-    for part in text.split(","):
-        # Python refuses to convert very long numbers.
-        match = re.fullmatch(r"\s*([0-9]{1,9})\s*(-\s*([0-9]{1,9})?\s*)?", part)
-        first = int(match[1]) if match else 0
-        last = int(match[3] or count) if match and match[2] else first
-        if not 1 <= first <= last <= count:
-            raise PageError(
-                f"pages {text}: the document has pages 1 to {count}, not {part.strip()!r}: "
-                "write 1,3-5 or 7-"
-            )
-        indexes += range(first - 1, last)
-    return indexes
 
 
 def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None":

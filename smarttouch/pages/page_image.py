@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import PageError
@@ -45,11 +44,6 @@ class TextLine:
         length = self.right_mm - self.left_mm
         return curve_at(np.array(self.baseline), x_mm - self.left_mm, length)
 
-    def slope(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the slope of the baseline at x, positive downward."""
-        inside = np.clip(x_mm - self.left_mm, 0, self.right_mm - self.left_mm)
-        return np.asarray(polynomial.polyval(inside, polynomial.polyder(self.baseline)))
-
     @property
     def height_mm(self) -> float:
         """Height from ascenders to descenders."""
@@ -57,14 +51,12 @@ class TextLine:
 
     @property
     def top_mm(self) -> float:
-        """Mean y of the top of the print."""
-        length = self.right_mm - self.left_mm
-        mean_mm = sum(c * length**k / (k + 1) for k, c in enumerate(self.baseline))
-        return mean_mm - self.ascent_mm
+        """y of the top of the print in the middle of the line."""
+        return float(self.baseline_mm(np.array(self.left_mm + self.right_mm) / 2)) - self.ascent_mm
 
     @property
     def bottom_mm(self) -> float:
-        """Mean y of the bottom of the print."""
+        """y of the bottom of the print in the middle of the line."""
         return self.top_mm + self.height_mm
 
 

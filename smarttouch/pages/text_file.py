@@ -7,8 +7,7 @@ import shutil
 import subprocess
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 
@@ -20,7 +19,7 @@ MOST_BYTES, MOST_UNPACKED_BYTES = 50_000_000, 500_000_000
 """Largest file, and largest unpacked content."""
 _TIMEOUT_S, _MEMORY = 120.0, "1500M"
 _FILTER = Path(__file__).with_name("pandoc_text.lua")
-_BEGINNING_BYTES = 4096
+_BEGINNING_BYTES, _END_BYTES = 4096, 300_000
 _UTF16 = re.compile(rb"\xff\xfe|\xfe\xff|(?:[\t-~]\0){4}|(?:\0[\t-~]){4}")  # or Latin letters
 _NO_TEXT = bytes({*range(0x20), 0x7F} - {*b"\t\n\f\r\x1b"})
 _BRF = frozenset([".brf", ".brl", ".ueb", ".bfm"])
@@ -32,14 +31,15 @@ _MARKDOWN = (
 _BY_NAME = dict.fromkeys([".md", ".markdown"], _MARKDOWN) | dict.fromkeys(
     [".html", ".htm", ".xhtml"], f"html{_TEX}"
 )
-_ODF = rb"PK.*\nmimetypeapplication/vnd\.oasis\.opendocument\."
+_ODF = rb"PK.{28}mimetypeapplication/vnd\.oasis\.opendocument\."
+_LISTED = rb"PK.*PK\x01\x02.{42}"  # the list of members, before the name of one
 _KINDS = {
     rb"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b": f"html{_TEX}",
-    rb"PK.*\nword/": "docx",
-    rb"PK.*\nmimetypeapplication/epub\+zip": f"epub{_TEX}",
+    _LISTED + rb"word/": "docx",
+    rb"PK.{28}mimetypeapplication/epub\+zip": f"epub{_TEX}",
     _ODF + rb"text": "odt",
-    rb"PK.*\nppt/|" + _ODF + rb"presentation": "a presentation",
-    rb"PK.*\nxl/|" + _ODF + rb"spreadsheet": "a spreadsheet",
+    _LISTED + rb"ppt/|" + _ODF + rb"presentation": "a presentation",
+    _LISTED + rb"xl/|" + _ODF + rb"spreadsheet": "a spreadsheet",
     rb"PK\x03\x04": "a packed file (ZIP, or as of drawings and Pages)",
     rb"\{\\rtf": "an RTF document",
     rb".*<pef\b": "a PEF file",
@@ -52,8 +52,7 @@ _KINDS = {
     rb"\s*\{.*\"(?:nbformat|cells)\"\s*:": "a notebook (Jupyter)",
     rb"\xd0\xcf\x11\xe0": "an old or locked Office document, or a mail of Outlook",
 }
-"""Pandoc's formats and unsupported kinds by the first bytes of a file, or by the names of members
-and the mimetype of a ZIP file."""
+"""Pandoc's formats and unsupported kinds, by the beginning of a file and the end of a ZIP file."""
 _OBJECT = re.compile(rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>", re.DOTALL)
 _DROPPED = {
     "headers and footers of its pages are left out": rb"<w:(?:hdr|ftr)\b.*?<w:t\b|"
@@ -132,6 +131,9 @@ def _kind_and_format(path: Path) -> tuple[FileKind, str]:
     suffix = path.suffix.lower()
     with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
         data = file.read(_BEGINNING_BYTES).removeprefix(codecs.BOM_UTF8)
+        if data.startswith(b"PK\x03\x04"):
+            file.seek(max(0, path.stat().st_size - _END_BYTES))
+            data += file.read()
     if not data:
         raise PageError(f"{path} is empty: give another file")
     if suffix in _BRF:
@@ -139,10 +141,6 @@ def _kind_and_format(path: Path) -> tuple[FileKind, str]:
     is_text = data.translate(None, _NO_TEXT) == data and b"%PDF-" not in data
     is_text |= suffix == ".txt" or _UTF16.match(data) is not None
     kind = "" if b"\0" in data else _BY_NAME.get(suffix, "")
-    if data.startswith(b"PK\x03\x04"):
-        with _opened(path) as packed:
-            mimetype = packed.read("mimetype") if "mimetype" in packed.namelist() else b""
-            data = "\n".join(["PK\x03\x04", *packed.namelist(), "mimetype"]).encode() + mimetype
     if not kind:
         flags = re.IGNORECASE | re.DOTALL
         kinds = (kind for start, kind in _KINDS.items() if re.match(start, data, flags))
@@ -155,28 +153,22 @@ def _kind_and_format(path: Path) -> tuple[FileKind, str]:
     raise PageError(f"{path} is {kind}, which is not read: {remedy}")
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
-    """Open a packed document; errors by damage, also within the block, become PageErrors."""
-    try:
-        with zipfile.ZipFile(path) as packed:
-            yield packed
-    except (OSError, RuntimeError, KeyError, zipfile.BadZipFile, zlib.error) as error:
-        raise PageError(f"{path} is damaged or locked ({error}): save it again") from None
-
-
 def _repacked(path: Path) -> tuple[bytes, list[bytes]]:
     """Return a packed document as pandoc reads it best, and the contents of its members."""
+    try:
+        with zipfile.ZipFile(path) as packed:
+            if sum(member.file_size for member in packed.infolist()) > MOST_UNPACKED_BYTES:
+                limit = f"{MOST_UNPACKED_BYTES // 10**6} MB: give a smaller document"
+                raise PageError(f"{path} would unpack to more than {limit}")
+            contents = {member.filename: packed.read(member) for member in packed.infolist()}
+    except (OSError, RuntimeError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        raise PageError(f"{path} is damaged or locked ({error}): save it again") from None
     file = io.BytesIO()
-    with _opened(path) as packed, zipfile.ZipFile(file, "w") as copy:
-        if sum(member.file_size for member in packed.infolist()) > MOST_UNPACKED_BYTES:
-            limit = f"{MOST_UNPACKED_BYTES // 10**6} MB: give a smaller document"
-            raise PageError(f"{path} would unpack to more than {limit}")
-        contents = [packed.read(member) for member in packed.infolist()]
-        for member, content in zip(packed.infolist(), contents, strict=True):
-            if member.filename == "content.xml":
-                # pandoc drops these objects, and the heads of an ODT's tables.
-                marked = _OBJECT.sub(b"(embedded object)", content)
-                content = re.sub(rb"</?table:table-header-rows[^>]*>", b"", marked)
-            copy.writestr(member, content)
-    return file.getvalue(), contents
+    with zipfile.ZipFile(file, "w") as copy:
+        for name, content in contents.items():
+            # Of an ODT, pandoc drops these objects, and the heads of tables.
+            marked = (
+                _OBJECT.sub(b"(embedded object)", content) if name == "content.xml" else content
+            )
+            copy.writestr(name, re.sub(rb"</?table:table-header-rows[^>]*>", b"", marked))
+    return file.getvalue(), [*contents.values()]

@@ -1,5 +1,6 @@
 """Material to read: images, documents, texts and files of Braille cells."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -7,8 +8,8 @@ from pathlib import Path
 
 from joblib import Parallel, delayed
 
-from smarttouch.base.errors import ReadingError
-from smarttouch.pages.document import Document, parse_pages
+from smarttouch.base.errors import PageError, ReadingError
+from smarttouch.pages.document import Document
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import PreparedPage, prepare_text
 from smarttouch.pages.text_file import FileKind, file_kind, read_document_text, read_plain_text
@@ -122,6 +123,23 @@ class ReadingMaterial:
         prepared = upright_page(number, page, self.options, notes.append)
         texts = [text for _, text in recognized_lines(prepared, self.options, notes.append)]
         return number, printed_lines(number, prepared.lines, texts), notes
+
+
+def parse_pages(text: str, count: int) -> list[int]:
+    """Parse a list of pages such as ``1,3-5`` or ``7-``; return indices from 0."""
+    indexes: list[int] = []
+    for part in text.split(","):
+        # Python refuses to convert very long numbers.
+        match = re.fullmatch(r"\s*([0-9]{1,9})\s*(-\s*([0-9]{1,9})?\s*)?", part)
+        first = int(match[1]) if match else 0
+        last = int(match[3] or count) if match and match[2] else first
+        if not 1 <= first <= last <= count:
+            raise PageError(
+                f"pages {text}: the document has pages 1 to {count}, not {part.strip()!r}: "
+                "write 1,3-5 or 7-"
+            )
+        indexes += range(first - 1, last)
+    return indexes
 
 
 def _report_empty_pages(has_text: dict[int, bool], note: Note) -> None:

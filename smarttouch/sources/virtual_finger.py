@@ -1,6 +1,8 @@
 """Virtual finger that moves over a page, and the frames of its optical sensor."""
 
+import getpass
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -13,11 +15,11 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import PageError, SourceError, require_within
 from smarttouch.base.files import read_csv, read_text
-from smarttouch.pages.document import Document, password_of
+from smarttouch.pages.document import Document, LockedError
 from smarttouch.pages.ink import is_light_on_dark, separate_ink
 from smarttouch.pages.page_image import INCH_MM, Page, TextLine
 from smarttouch.pages.prepared_page import LAID_FLAT, find_sheet, flattened, print_text
-from smarttouch.pages.text_file import FileKind, file_kind, read_document_text
+from smarttouch.pages.text_file import FileKind, file_kind, read_document_text, read_plain_text
 from smarttouch.pages.text_lines import find_lines
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
@@ -116,7 +118,7 @@ def _middle_path(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Float
     x = np.linspace(start, end, max(2, math.ceil((end - start) / _STEP_MM)))
     y = line.baseline_mm(x) + (line.descent_mm - line.ascent_mm) / 2
     passed_mm = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-    return x, y, np.arctan(line.slope(x)), passed_mm
+    return x, y, np.arctan(np.gradient(y, x)), passed_mm
 
 
 OVERSAMPLING = 2  # samples per pixel and axis, averaged over the pixel's aperture
@@ -200,16 +202,39 @@ def load_or_guess(
         return print_text(read_document_text(path, note)), ""
     text = kind is FileKind.TEXT and path.suffix.lower() == ".txt"
     if text and dpi is None and width_mm is None:
-        return print_text(read_text(path, PageError).strip()), ""
+        return print_text(read_plain_text(path).strip()), ""
     password = password_of(path, password_file)
     with Document(path, dpi=dpi, page_width_mm=width_mm, password=password) as document:
         page = document.page(0)
-    if dpi or width_mm or document.has_scale:
+    if dpi or width_mm or page.lines:
         return page, ""
     notes, stated_dpi = document.notes, INCH_MM / page.mm_per_pixel
     if not notes and not _CHOSEN_DPI[0] < stated_dpi < _CHOSEN_DPI[1]:
         notes = [f"{path} states {stated_dpi:.0f} dots per inch"]
     return page, f"{notes[-1]}; give dpi or page_width_mm if you know it" if notes else ""
+
+
+def password_of(path: Path, password_file: str | None = None) -> str | None:
+    """Return the password of a document, or None if it needs none.
+
+    It is the first line of a file, or of standard input for ``-``; the default is to ask at the
+    terminal.
+    """
+    if password_file is None:
+        try:
+            Document(path).close()
+        except LockedError:
+            if not sys.stdin.isatty():
+                raise
+            return getpass.getpass(f"Password of {path.name}: ")
+        return None
+    text = (
+        sys.stdin.readline() if password_file == "-"
+        else read_text(Path(password_file), PageError, 4096)
+    )  # fmt: skip
+    if password := text.partition("\n")[0].rstrip("\r"):
+        return password
+    raise PageError(f"no password in the first line of {password_file}: write it there")
 
 
 def open_text(

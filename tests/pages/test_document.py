@@ -14,15 +14,10 @@ from hypothesis import strategies as st
 from PIL import Image, ImageDraw, TiffImagePlugin
 
 from smarttouch.base.errors import PageError
-from smarttouch.pages import document as document_module
-from smarttouch.pages.document import (
-    GUESSED_WIDTH_MM,
-    Document,
-    parse_pages,
-    password_of,
-)
+from smarttouch.pages.document import GUESSED_WIDTH_MM, Document
 from smarttouch.profile import load_profile
-from smarttouch.sources import open_source
+from smarttouch.sources import open_source, virtual_finger
+from smarttouch.sources.virtual_finger import password_of
 
 from ..support.checks import assert_says, numbers_in, raises
 
@@ -229,22 +224,6 @@ def test_pages_that_are_not_there(tmp_path, suffix, index):
         document.page(index)
 
 
-@pytest.mark.parametrize(("text", "indexes"), [
-    ("1", [0]), ("1,3-5", [0, 2, 3, 4]), (" 2 , 1 - 2 ", [1, 0, 1]), ("11-", [10, 11]),
-    ("12-12", [11]),
-])  # fmt: skip
-def test_pages_asked_for(text, indexes):
-    assert parse_pages(text, 12) == indexes
-
-
-@pytest.mark.parametrize(
-    "text", ["", "one", "-3", "²", "1" * 5000, "1,,2", "0", "1,13", "3-999999999", "5-3"]
-)
-def test_what_is_no_page(text):
-    with pytest.raises(PageError, match=r"the document has pages 1 to 12, not .*: write 1,3-5"):
-        parse_pages(text, 12)
-
-
 class Terminal(io.StringIO):
     def isatty(self):
         return True
@@ -279,7 +258,7 @@ def test_a_password_comes_from_a_file_or_standard_input(locked, put, monkeypatch
 
 def test_a_password_is_asked_for_at_a_terminal_alone(locked, put, monkeypatch):
     assert password_of(put(one_page())) is None
-    monkeypatch.setattr(document_module.getpass, "getpass", lambda *_: "tulip")
+    monkeypatch.setattr(virtual_finger.getpass, "getpass", lambda *_: "tulip")
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     with pytest.raises(PageError, match="--password-file"):
         password_of(locked)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.base.errors import ReadingError
+from smarttouch.base.errors import PageError, ReadingError
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille_lines import Braille
 from smarttouch.reading.letter_shapes import Shapes
-from smarttouch.reading.material import ReadingMaterial
+from smarttouch.reading.material import ReadingMaterial, parse_pages
 from smarttouch.reading.recognition import RecognitionOptions
 
 from ..support.checks import raises
@@ -84,6 +84,22 @@ def test_pages_come_in_the_order_asked_for_and_blank_ones_are_reported(source_of
     assert len(lengths) == 2
     assert lengths[0] > lengths[1]
     assert notes[-1].endswith("page 2, 4")
+
+
+@pytest.mark.parametrize(("text", "indexes"), [
+    ("1", [0]), ("1,3-5", [0, 2, 3, 4]), (" 2 , 1 - 2 ", [1, 0, 1]), ("11-", [10, 11]),
+    ("12-12", [11]),
+])  # fmt: skip
+def test_pages_asked_for(text, indexes):
+    assert parse_pages(text, 12) == indexes
+
+
+@pytest.mark.parametrize(
+    "text", ["", "one", "-3", "²", "1" * 5000, "1,,2", "0", "1,13", "3-999999999", "5-3"]
+)
+def test_what_is_no_page(text):
+    with pytest.raises(PageError, match=r"the document has pages 1 to 12, not .*: write 1,3-5"):
+        parse_pages(text, 12)
 
 
 def test_where_nothing_is_found_that_is_the_error(source_of, reading):
