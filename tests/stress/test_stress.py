@@ -6,12 +6,14 @@ long form, with figures: only that one is about how long it takes.
 """
 
 import json
+import os
 import random
 import signal
 import subprocess
 import sys
 import time
-from itertools import cycle, product
+from itertools import cycle, islice, product
+from operator import itemgetter
 from pathlib import Path
 
 import pytest
@@ -20,7 +22,7 @@ from smarttouch.emulator.firmware import read_state
 
 from ..boards.fresh import fresh_state, starter
 from ..support.full import sample
-from ..support.processes import PROGRAM, Forked, emulator
+from ..support.processes import PROGRAM, emulator
 
 pytestmark = pytest.mark.realtime
 linux = pytest.mark.skipif(
@@ -40,64 +42,87 @@ STEP_MS = 10
 """By so much the clock of an emulated board may run on while its process is kept from running."""
 
 
-def ended(kind, how, rounds):
-    """Return what came of boards whose hosts were ended so often."""
-    command = [sys.executable, Path(__file__).with_name("hosts.py"), kind, how, str(rounds)]
-    with Forked(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        said, wrong = process.communicate()
-    assert process.returncode == 0, wrong
-    found = json.loads(said)
-    print(f"\n{found}")
-    assert (found["runs"], found["unsafe"], found["processes_left"]) == (rounds, 0, 0)
-    return found
+def ended(cases, runs, folder):
+    """Return what came of boards whose hosts were ended so often, by kind and how.
+
+    Hosts mostly wait, so those of three cases run at once, but for figures one after another. Each
+    case is a user of its own, as one may drive only two boards.
+    """
+    every, rounds = list(cases), runs or ROUNDS
+    for first in range(0, len(every), at_once := 1 if runs else 3):
+        with starter() as start:
+            processes = {}
+            for kind, how in every[first : first + at_once]:
+                program = [sys.executable, Path(__file__).with_name("hosts.py")]
+                user = os.environ | {"XDG_STATE_HOME": str(folder / f"{kind} {how}")}
+                processes[kind, how] = start(
+                    [*program, kind, how, str(rounds)], stderr=subprocess.PIPE, env=user
+                )
+            for case, process in processes.items():
+                said, wrong = process.communicate()
+                assert process.returncode == 0, wrong
+                found = json.loads(said)
+                print(f"\n{found}")
+                assert (found["runs"], found["unsafe"], found["processes_left"]) == (rounds, 0, 0)
+                yield *case, found
 
 
 @linux
-@pytest.mark.parametrize(("kind", "how"), sample([
-    ("link", "kill"), ("etactilekit", "kill"), ("etactilekit", "freeze"), ("kajimoto61", "kill"),
-]))  # fmt: skip
-def test_a_board_whose_host_is_gone_is_at_zero(kind, how, runs):
-    found = ended(kind, how, runs or ROUNDS)
-    assert found["ports_kept"] == 0
-    # A board that goes on pulses until it is not watched any more.
-    assert found["worst_ms"] < 0.8 * WATCHED_MS
-    if runs:
-        assert found["pulsed"] > runs / 2
-        assert found["worst_ms"] <= WITHIN_MS + STEP_MS
+def test_a_board_whose_host_is_gone_is_at_zero(runs, tmp_path):
+    cases = [
+        ("link", "kill"),
+        *product(["etactilekit"], ["kill", "freeze"]),
+        ("kajimoto61", "kill"),
+    ]
+    for _, _, found in ended(sample(cases), runs, tmp_path):
+        assert found["ports_kept"] == 0, found
+        # A board that goes on pulses until it is not watched any more.
+        assert found["worst_ms"] < 0.8 * WATCHED_MS, found
+        if runs:
+            assert found["pulsed"] > runs / 2, found
+            assert found["worst_ms"] <= WITHIN_MS + STEP_MS, found
 
 
 @linux
-@pytest.mark.parametrize(("kind", "action"), sample([
+def test_no_slot_starts_after_a_stop(runs, tmp_path):
     # A kajimoto61 does not measure.
-    *product(["link", *KITS], ["measuring", "rising", "repeating"]),
-    ("kajimoto61", "rising"), ("kajimoto61", "repeating"),
-]))  # fmt: skip
-def test_no_slot_starts_after_a_stop(kind, action, runs):
-    rounds = runs or ROUNDS
-    found = ended(kind, action, rounds)
-    assert found["worst_ms"] <= WIRE_MS.get(kind, 0.0), found
-    assert (found["violations"], found["driving"]) == (0, 0), found
-    came = found["came"]
-    # On a busy machine an answer may be too late for what is under way, never for what comes after.
-    assert came.get("LineLostError", 0) <= rounds, found
-    assert came["BoardStoppedError"] + came.get("LineLostError", 0) == 3 * rounds, found
+    cases = [
+        *product(["link", *KITS], ["measuring", "rising", "repeating"]),
+        ("kajimoto61", "rising"), ("kajimoto61", "repeating"),
+    ]  # fmt: skip
+    for kind, _, found in ended(sample(cases), runs, tmp_path):
+        assert found["worst_ms"] <= WIRE_MS.get(kind, 0.0), found
+        assert (found["violations"], found["driving"]) == (0, 0), found
+        came = found["came"]
+        # On a busy machine an answer may be too late for what is under way, never for what comes
+        # after.
+        assert came.get("LineLostError", 0) <= found["runs"], found
+        refused = came["BoardStoppedError"] + came.get("LineLostError", 0)
+        assert refused == 3 * found["runs"], found
 
 
 def test_signals_end_runs_with_the_board_at_zero(runs, tmp_path):
     draw, kinds = random.Random(1), cycle(ELECTRODES)
-    for number in range(runs or 3):
-        kind, books = next(kinds), tmp_path / f"books{number}"
-        books.mkdir()
+    for number in range(0, runs or 3, 3):
         with starter() as start:
-            board = start(emulator(kind, f"electrodes={ELECTRODES[kind]}", f"books={books}"))
-            url = f"{kind}:{board.stdout.readline().strip()}"
-            run = ["live", "--board", url, "--force", "fixed:1", "--intensity", "1"]
-            host = start([PROGRAM, *run, "--seconds", "60"], stderr=subprocess.STDOUT)
-            time.sleep(draw.uniform(0.0, LONGEST_START_S))
-            host.send_signal(SIGNALS[(number + number // 3) % 3])
-            said, _ = host.communicate(timeout=LONGEST_END_S)
-            assert "Traceback" not in said
-            state = fresh_state(books)
-            assert state["state"] != "driving", (kind, said)
-            assert (state["unsafe"], state["violations"]) == (0, 0)
-            assert fresh_state(books)["slots"] == read_state(books)["slots"] == state["slots"]
+            # Three at once, each of its own user: one may drive only two boards.
+            due = []
+            for kind in islice(kinds, 3):
+                (books := tmp_path / f"books{number}{kind}").mkdir()
+                board = start(emulator(kind, f"electrodes={ELECTRODES[kind]}", f"books={books}"))
+                url = f"{kind}:{board.stdout.readline().strip()}"
+                run = ["live", "--board", url, "--force", "fixed:1", "--intensity", "1"]
+                user = os.environ | {"XDG_STATE_HOME": str(books)}
+                host = start([PROGRAM, *run, "--seconds", "60"], stderr=subprocess.STDOUT, env=user)
+                at_s = time.monotonic() + draw.uniform(0.0, LONGEST_START_S)
+                due.append((at_s, host, SIGNALS[(number // 3 + len(due)) % 3], kind, books))
+            for at_s, host, sign, *_ in sorted(due, key=itemgetter(0)):
+                time.sleep(max(0.0, at_s - time.monotonic()))
+                host.send_signal(sign)
+            for _, host, _, kind, books in due:
+                said, _ = host.communicate(timeout=LONGEST_END_S)
+                assert "Traceback" not in said
+                state = fresh_state(books)
+                assert state["state"] != "driving", (kind, said)
+                assert (state["unsafe"], state["violations"]) == (0, 0)
+                assert fresh_state(books)["slots"] == read_state(books)["slots"] == state["slots"]
