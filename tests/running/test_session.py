@@ -19,6 +19,7 @@ from smarttouch.running.step import OnEvent, OnStep
 
 from ..support.checks import raises
 from ..support.full import WHOLE, sample
+from ..support.runs import undisturbed, until
 
 RING = np.zeros(64, np.float32)
 RING[[18, 19, 20, 26, 28, 34, 35, 36]] = 1
@@ -43,11 +44,17 @@ def shown_by(results, began_ns, seconds):
 
 @pytest.mark.parametrize("url", URLS)
 def test_after_a_rise_a_pattern_is_at_its_level_from_its_first_pulse(url):
-    touch, results = session(url)
-    with touch:
-        assert touch.rise() > 0
-        assert touch.rise() == 0
-        found = [touch.show(RING, 0.5) for _ in range(2)]
+    def attempt():
+        touch, results = session(url)
+        rises, found = [], []
+        with touch, contextlib.suppress(st.LevelNotReachedError):
+            rises += [touch.rise() for _ in range(2)]
+            found += [touch.show(RING, 0.5) for _ in range(2)]
+        assert touch.statistics.ended == "the session is over"
+        return touch.statistics, results, rises, found
+
+    results, rises, found = undisturbed(attempt)
+    assert rises[0] > rises[1] == 0
     for shown in found:
         assert (shown.sequences, shown.intensity, shown.ramped_s) == (25, 0.6, 0)
         own = shown_by(results, shown.time_ns, 0.5)
@@ -62,7 +69,6 @@ def test_after_a_rise_a_pattern_is_at_its_level_from_its_first_pulse(url):
         assert began_us == [None, None]
     else:
         assert began_us[1] - began_us[0] >= 0.5e6
-    assert touch.statistics.ended == "the session is over"
 
 
 def test_a_level_that_is_not_open_is_opened_first_with_an_event():
@@ -143,14 +149,20 @@ def test_a_pause_within_a_pattern_is_an_error_and_not_a_weak_pattern():
 
 @pytest.mark.parametrize("url", sample([EMULATOR, "memory:"]))
 def test_the_newest_pattern_wins_and_a_stale_one_is_zero(url):
-    touch, results = session(url)
     other = np.roll(RING, 1)
-    with touch:
-        touch.rise()
-        for pattern in (RING, other) * 10:
-            touch.put(pattern, stale_s=0.3)
-            time.sleep(0.02)
-        time.sleep(0.6)
+
+    def attempt():
+        touch, results = session(url)
+        with touch:
+            touch.rise()
+            for pattern in (RING, other) * 10:
+                touch.put(pattern, stale_s=0.3)
+                time.sleep(0.02)
+            until(lambda: any(each.input.stale for each in results))
+            time.sleep(0.1)
+        return touch.statistics, results
+
+    (results,) = undisturbed(attempt)
     put = [each for each in results if each.tactile.activation[st.Afferent.RA].max() == 1]
     for before, after in itertools.pairwise(put):
         assert before.input.number <= after.input.number
@@ -162,7 +174,6 @@ def test_the_newest_pattern_wins_and_a_stale_one_is_zero(url):
     end_ns = put[-1].input.time_ns
     after = [each.sequence.slots for each in results if each.input.time_ns > end_ns]
     assert set(after) == {0}
-    assert any(each.input.stale for each in results)
 
 
 def in_a_loop(coroutine):

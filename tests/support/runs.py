@@ -29,3 +29,18 @@ def until(holds):
         assert time.monotonic() < deadline_s, "it never came true"
         time.sleep(0.002)
     return found
+
+
+def undisturbed(attempt):
+    """Return what an attempt gives besides a run's statistics, once nothing was late in that run.
+
+    After a delay of the computer a run rises again: what it does in between is asked elsewhere.
+    """
+
+    def on_time():
+        statistics, *found = attempt()
+        figures = statistics.figures
+        late = sum(figures[name] for name in ("late_frames", "dropped_late", "restarts"))
+        return None if late else found
+
+    return until(on_time)
