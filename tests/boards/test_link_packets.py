@@ -27,7 +27,7 @@ from smarttouch.boards.link import (
     decode,
     encode,
 )
-from smarttouch.boards.link.link_driver import SILENCE_S, LinkSession
+from smarttouch.boards.link.link_driver import LISTENED_S, LinkSession
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.emulator.link_firmware import LinkFirmware
@@ -185,6 +185,10 @@ class Reads:
 
     def lost(self, what):
         return LineLostError(f"the board at {self.name} {what}")
+
+
+SILENCE_S = 2.5 * LISTENED_S
+"""As two delays of this computer in a row may count for less."""
 
 
 @pytest.mark.realtime

@@ -11,7 +11,7 @@ from smarttouch.base.errors import BrailleError
 from smarttouch.braille import louis
 from smarttouch.braille.code_tables import DEFAULT_TABLE, known_tables
 
-from ..support.processes import PROGRAM
+from ..support.processes import PROGRAM, Forked
 from .conftest import says
 
 
@@ -37,11 +37,10 @@ def test_a_text_and_back(braille):
     ("latin-1", ",HELLO #B\n"), ("utf-8", "⠠⠓⠑⠇⠇⠕⠀⠼⠃\n"),
 ])  # fmt: skip
 def test_an_output_without_cells_gets_ascii_braille(encoding, printed):
-    done = subprocess.run(
-        [PROGRAM, "braille", "Hello 2"], env={**os.environ, "PYTHONIOENCODING": encoding},
-        capture_output=True, check=True,
-    )  # fmt: skip
-    assert done.stdout.decode(encoding) == printed
+    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+    command = [PROGRAM, "braille", "Hello 2"]
+    with Forked(command, env=environment, stdout=subprocess.PIPE) as program:
+        assert program.communicate()[0].decode(encoding) == printed
 
 
 def test_a_brf_file(braille, tmp_path):

@@ -1,7 +1,6 @@
 """The command line itself: version, help, completion, standard input."""
 
 import collections
-import os
 import re
 import subprocess
 import sys
@@ -12,15 +11,9 @@ import typer
 from smarttouch.cli import app
 
 
-def as_module(*arguments, **environment):
-    return subprocess.run(
-        [sys.executable, "-m", "smarttouch", *arguments], env=os.environ | environment,
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
-
-
 def test_the_module_and_its_version():
-    done = as_module("--version")
+    command = [sys.executable, "-m", "smarttouch", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     name, version = done.stdout.split()
     assert (done.returncode, done.stderr, name) == (0, "", "smarttouch")
     assert version[0].isdecimal()
@@ -63,10 +56,11 @@ def test_help_is_plain_and_short(program_here, monkeypatch, name):
             assert each.opts[0] in short
 
 
-def test_completion_has_the_commands():
-    done = as_module(
-        _SMARTTOUCH_COMPLETE="complete_bash", COMP_WORDS="smarttouch ca", COMP_CWORD="1"
-    )
+def test_completion_has_the_commands(program, monkeypatch):
+    monkeypatch.setenv("_SMARTTOUCH_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "smarttouch ca")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    done = program()
     assert (done.returncode, done.stdout.split()) == (0, ["calibrate"])
 
 

@@ -58,7 +58,7 @@ def ink_agreement(page, touch):
 def test_the_sample_page(program, tmp_path):
     done = program(
         "live", f"{SAMPLE}?speed_mm_s=120", "--felt", "felt.png", "--set", "finger=paper",
-        "--json", "run.json", "--record", "run.mcap", real=True,
+        "--json", "run.json", "--record", "run.mcap",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     figures = json.loads((tmp_path / "run.json").read_text())

@@ -28,6 +28,7 @@ from smarttouch.sources.source_contract import Frame
 
 from ..support.checks import raises
 from ..support.full import WHOLE
+from ..support.processes import Forked
 from ..support.runs import until
 
 STARTED_NS = 1_700_000_000 * 10**9
@@ -194,7 +195,7 @@ CHILD = Path(__file__).with_name("recorded_child.py")
 @contextmanager
 def child(*arguments):
     """Yield a running child; it is gone at the end."""
-    process = subprocess.Popen(
+    process = Forked(
         [sys.executable, CHILD, *map(str, arguments)], stdout=subprocess.PIPE, text=True
     )
     try:

@@ -155,6 +155,8 @@ def _serve(channel):
     import_module("smarttouch.cli")._built()
     driver = import_module("smarttouch.emulator.emulated_boards")
     driver.subprocess, Forked._server = forked_boards(), _Itself()
+    # Many a test waits until all that a board has delivered is in its file.
+    import_module("smarttouch.emulator.devices")._WRITE_EVERY_NS = 10_000_000
     gc.collect()
     # A collector that passes over all this in each fork would copy it.
     gc.freeze()
@@ -203,7 +205,8 @@ def _become(request, streams):
     at_once = bool(os.environ.get("PYTHONUNBUFFERED"))
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         old = getattr(sys, name)
-        new = os.fdopen(old.fileno(), mode, encoding=old.encoding, errors=old.errors, closefd=False)
+        encoding = os.environ.get("PYTHONIOENCODING", old.encoding)
+        new = os.fdopen(old.fileno(), mode, encoding=encoding, errors=old.errors, closefd=False)
         if mode == "w":
             new.reconfigure(line_buffering=new.isatty() or name == "stderr", write_through=at_once)
         setattr(sys, name, new)
