@@ -382,7 +382,12 @@ class Board:
         proved = self._gate.prove(
             sequence, times, number=self._number + 1, due_ns=due_ns, late_ns=self._late_ns
         )
-        self._require_in_range(proved)
+        if proved.peak_ua > 1000 * can.max_current_ma:
+            # In a driver, larger counts could wrap around and reverse the current.
+            raise BoardError(
+                f"the sequence has {proved.peak_ua / 1000:g} mA, and this board makes at most "
+                f"{can.max_current_ma:g} mA: lower limits.current_ma in the profile"
+            )
         try:
             self._number = proved.number
             if self._failure is not None:
@@ -392,15 +397,6 @@ class Board:
         except BoardError as error:
             failure = self._not_sent(error)
         raise failure
-
-    def _require_in_range(self, proved: ProvedSequence) -> None:
-        # In a driver, larger counts could wrap around and reverse the current.
-        most_ma = self.capabilities.max_current_ma
-        if (peak_ma := np.abs(proved.sequence.current_ua).max(initial=0) / 1000) > most_ma:
-            raise BoardError(
-                f"the sequence has {peak_ma:g} mA, and this board makes at most {most_ma:g} mA: "
-                "lower limits.current_ma in the profile"
-            )
 
     def _not_sent(self, error: BoardError) -> BoardError:
         """Return the error to raise for a sequence that was not sent, with the board at zero."""

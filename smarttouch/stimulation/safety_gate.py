@@ -160,6 +160,8 @@ class ProvedSequence:
         Session of the gate in which it was proved.
     strength_ppb : int
         See `sequence_limits.strength_ppb`.
+    peak_ua : int
+        Strongest current of the slots.
     """
 
     sequence: ScanSequence
@@ -169,6 +171,7 @@ class ProvedSequence:
     write_before_ns: int
     session: int
     strength_ppb: int
+    peak_ua: int
 
     def __init__(self, *_: object, **__: object) -> None:
         raise SafetyError("only the safety gate can prove a sequence", limit="gate")
@@ -275,6 +278,7 @@ class SafetyGate:
             vars(proved).update(
                 sequence=sequence, times=times, number=number, due_ns=due_ns,
                 write_before_ns=due_ns + late_ns, session=self.session, strength_ppb=strength_ppb,
+                peak_ua=load.peak_ua,
             )  # fmt: skip
             return proved
 

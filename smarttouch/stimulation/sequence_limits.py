@@ -81,6 +81,7 @@ class PassLoad(NamedTuple):
     recharge_pc: NDArray[np.float64] | None  # (E,), recharge phase, positive cathodic
     busy_us: int  # duration of slots and recharge phase
     strength_ppb: int  # see `strength_ppb`; 0 without current
+    peak_ua: int  # strongest current
 
 
 def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> PassLoad:
@@ -90,7 +91,7 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
     """
     width_us, busy_us = sequence.width_us, _prove_numbers(sequence, limits)
     if not busy_us:
-        return PassLoad(np.zeros((3, limits.electrodes)), None, 0, 0)
+        return PassLoad(np.zeros((3, limits.electrodes)), None, 0, 0, 0)
     sums, current_ua, magnitude_ua = add_up(sequence.current_ua, width_us, limits.felt_ua)
     net_ua, total_ua = current_ua.sum(axis=1), magnitude_ua.sum(axis=1)
     if net_ua.any():
@@ -123,7 +124,7 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
         recharge_pc = sequence.recharge_ua.astype(np.float64) * sequence.recharge_us
         sums[1] += PER_PC * np.abs(recharge_pc)
         sums[2] += recharge_pc
-    return PassLoad(sums, recharge_pc, busy_us, strength_ppb(limits, ppb, peak_pc))
+    return PassLoad(sums, recharge_pc, busy_us, strength_ppb(limits, ppb, peak_pc), peak_ua)
 
 
 def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> int:

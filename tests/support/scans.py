@@ -28,7 +28,14 @@ def sequence(currents, widths=200, *, electrodes=4, discharge_us=100, **other):
 
 
 def unproved(
-    sequence, times=1, number=1, due_ns=0, write_before_ns=2**62, session=0, strength_ppb=0
+    sequence,
+    times=1,
+    number=1,
+    due_ns=0,
+    write_before_ns=2**62,
+    session=0,
+    strength_ppb=0,
+    peak_ua=0,
 ):
     """Return a sequence as if a gate had proved it."""
     fields, forged = locals(), object.__new__(ProvedSequence)
