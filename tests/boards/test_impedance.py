@@ -210,6 +210,7 @@ def test_a_short_is_found():
     assert measured(kohm).condition[3] == "short"
 
 
+@pytest.mark.realtime
 def test_an_emulated_board_of_weighted_outputs(start_emulator):
     _, port = start_emulator("event=0 open 7", "event=0 open 40", electrodes=64)
     profile = load_profile("electric-mouse")

@@ -11,6 +11,8 @@ from benchmarks.page_reading import ours, plain
 from smarttouch.pages.reading_order import Segment, reading_order
 from smarttouch.reading.legibility import character_error_rate
 
+from ..support.full import sample
+
 LEFT, RIGHT, BOTH = (0, 40), (50, 90), (0, 90)
 WIDER = 4
 
@@ -147,9 +149,11 @@ def test_no_text_is_lost_or_read_twice(placed, leftward):
 @pytest.mark.skipif(shutil.which("tesseract") is None, reason="needs Tesseract")
 @pytest.mark.parametrize(
     ("layout", "medium", "seed"),
-    [("form", "flat", 100), ("index", "flat", 100), ("playbill", "flat", 101),
-     ("sidebar", "flat", 100), ("three_columns", "photographed", 100),
-     ("bilingual", "photographed", 100)],
+    sample([
+        ("form", "flat", 100), ("index", "flat", 100), ("playbill", "flat", 101),
+        ("sidebar", "flat", 100), ("three_columns", "photographed", 100),
+        ("bilingual", "photographed", 100),
+    ]),
 )  # fmt: skip
 def test_typeset_pages_are_read_in_order(layout, medium, seed):
     page, pieces = page_layouts.page_of(getattr(page_layouts, layout), medium, seed)

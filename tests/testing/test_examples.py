@@ -57,6 +57,7 @@ def test_a_run_with_both(program, tmp_path):
     assert sum(line.startswith("  ") for line in lines) > 5
 
 
+@pytest.mark.long
 def test_a_package_by_the_page_alone(program, tmp_path):
     text = (ROOT / "docs/how-to/own-board.md").read_text("utf-8")
     block = re.compile(r"^`([\w.]+)`:\n\n(?:<!--[^>]*-->\n)?```\w+\n(.*?)^```$", re.M | re.S)
