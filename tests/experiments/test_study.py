@@ -105,11 +105,9 @@ def test_a_plan_that_makes_no_sense_is_refused(tmp_path, text, about):
         load_study(plan)
 
 
-distributed = pytest.importorskip("distributed")
-
-
 @pytest.mark.long
 def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
+    distributed = pytest.importorskip("distributed")
     with joblib.parallel_config("threading", n_jobs=1):
         here = run_study(SMALL, Path(), tmp_path / "here")
     killed = []
@@ -136,6 +134,7 @@ def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
 
 
 def test_a_missing_scheduler_is_an_error(monkeypatch):
+    pytest.importorskip("distributed")
     monkeypatch.setattr("smarttouch.experiments.study._ANSWERS_WITHIN_S", 0.2)
     with (
         raises(SmartTouchError, value="tcp://127.0.0.1:1"),
