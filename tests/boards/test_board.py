@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+from contextlib import suppress
 from dataclasses import replace
 
 import pytest
@@ -197,6 +198,18 @@ def test_halting_ends_the_wait_for_a_board_that_does_not_answer(monkeypatch, dea
     monkeypatch.setattr("smarttouch.boards.link.link_driver.ANSWER_S", 600.0)
     board = make_board(f"{kind}:{deaf_port}", KIT_LIMITS, OUTPUT)
     assert isinstance(Opening(board).halted(), BoardStoppedError)
+
+
+@pytest.mark.parametrize("kind", ["kajimoto61", "etactilekit"])
+def test_nothing_is_written_before_a_kit_has_booted(monkeypatch, deaf_port, kind):
+    did = []
+    monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 12.5)
+    monkeypatch.setattr(Line, "pause", lambda _line, pause_s: did.append(pause_s))
+    monkeypatch.setattr(Line, "write", lambda _line, data, *_: did.append(data))
+    with suppress(BoardError), make_board(f"{kind}:{deaf_port}", KIT_LIMITS, OUTPUT):
+        pass
+    written = [isinstance(each, bytes) for each in did]
+    assert 12.5 in did[: written.index(True)]
 
 
 def test_halting_ends_the_start_of_an_emulator(monkeypatch, tmp_path):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardError, LineLostError
-from smarttouch.boards.kits.etactilekit_line import LOAD
+from smarttouch.boards.kits.etactilekit_line import LOAD, PING, QUIET, READINGS
 from smarttouch.emulator.skin import EmulatedFinger
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.manual_kit import MS, ManualKit, proved
@@ -194,6 +194,17 @@ def test_a_line_that_loses_one_command_after_another_is_not_driven(monkeypatch):
     with raises(BoardError, names="safely"):
         kit.run([(10**9 * step, pulses(1000 + 10 * step, [1]), 1) for step in range(1, 9)])
     assert kit.scans() == []
+
+
+def test_a_stop_whose_answer_is_lost_leaves_a_range(monkeypatch):
+    kit = ManualKit(monkeypatch, LIMITS)
+    write, lost = kit.port.write, [READINGS + QUIET + PING]
+    kit.port.write = lambda data: write(data[:-1] if data in lost and lost.pop() else data)
+    start = kit.clock.time_ns
+    report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(patterns(20))])
+    assert lost == []
+    assert report.pulses <= kit.books.pulses <= report.most_pulses
+    assert kit.host.acknowledged == 20
 
 
 def test_a_scan_that_is_too_long_for_its_period_never_leaves(monkeypatch):

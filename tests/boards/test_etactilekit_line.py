@@ -18,6 +18,7 @@ from smarttouch.boards.kits.etactilekit_line import (
     PING,
     QUIET,
     READINGS,
+    ZEROS,
     Settings,
     Span,
     zero_anywhere,
@@ -140,6 +141,15 @@ def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, hal
     assert slots - pulsed <= 24
     # 0x101 counts: what the host before had begun to ask for.
     assert meeting.books.max_current_ma <= 2.57
+
+
+def test_half_a_command_ends_by_itself_where_zeros_are_lost(meet):
+    meeting = meet()
+    meeting.leave("FCF0 FE 0101")
+    write = meeting.port.write
+    meeting.port.write = lambda data: len(data) if data == ZEROS else write(data)
+    meeting.open()
+    assert meeting.books.state == "shorted"
 
 
 @pytest.mark.parametrize("half", sample(HALVES))

@@ -120,10 +120,10 @@ def happen(what, folder, child):
         shutil.copy(file, folder / f"{ID}.json")
     elif what == "elsewhere":
         os.environ["XDG_STATE_HOME"] = str(folder / "other")
-    elif what == "killed":
+    elif what in ("killed", "defunct"):
         os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-    return what != "killed"
+        os.waitid(os.P_PID, child, os.WEXITED | (os.WNOWAIT * (what == "defunct")))
+    return what not in ("killed", "defunct")
 
 
 @pytest.mark.parametrize(("what", "code", "said", "ends"), [
@@ -133,6 +133,7 @@ def happen(what, folder, child):
     ("frozen", 2, [f"did not answer: {UNKNOWN}"], False),
     ("elsewhere", 1, ["No run is announced in .*other"], False),
     ("killed", 1, ["No run is announced in "], None),
+    ("defunct", 1, ["No run is announced in "], None),
 ])  # fmt: skip
 @pytest.mark.parametrize("locks", [True, False], ids=["locks", "no locks"])
 def test_what_happens_to_a_run_and_its_files_hides_it_from_no_stop(

@@ -58,6 +58,8 @@ def test_a_run_is_asked_to_end_before_its_board_is_at_zero():
     stop, order = StopRequest(), []
 
     def work(say):
+        # What else ends with the run does not hold up its board.
+        stop.always_on_stop(lambda: time.sleep(PATIENCE_S))
         board = Display()
         board.zero = lambda how: order.append(stop.event.is_set())
         with stoppable_run(stop, board), board:
@@ -69,6 +71,12 @@ def test_a_run_is_asked_to_end_before_its_board_is_at_zero():
     with in_child(work) as child:
         assert [answer.at_zero for answer in stop_all()] == [True]
         assert exit_code(child) == 0
+
+
+def test_a_run_is_announced_as_long_as_it_lasts(folder):
+    with stoppable_run(StopRequest(), Display()):
+        assert runs(folder) == 1
+    assert runs(folder) == 0
 
 
 class TestForks:

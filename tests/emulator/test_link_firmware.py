@@ -3,7 +3,9 @@
 What it refuses is compared with the C core and a judge in ``firmware/tests``.
 """
 
+import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -28,6 +30,7 @@ from smarttouch.boards.link import (
 )
 from smarttouch.boards.link.link_driver import LinkDriver
 from smarttouch.boards.link.sequence_encoding import KernelImage
+from smarttouch.emulator import link_rules
 from smarttouch.emulator.firmware import RECHARGE, DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import MOST_HOSTS, BoardSession
@@ -72,6 +75,14 @@ class Rig(Talk):
 @pytest.fixture
 def rig():
     return Rig()
+
+
+def test_its_limits_are_those_of_the_firmware():
+    header = Path(__file__).parents[2] / "firmware" / "src" / "st_inside.h"
+    named = re.findall(r"#define ST_(M(?:AX|IN)_\w+|STRENGTH|\w+_US) (\d+)", header.read_text())
+    others = {name for name, value in named if getattr(link_rules, name, int(value)) != int(value)}
+    # The core adds up in 32 bits, and takes more slots.
+    assert others == {"MAX_SLOTS"}
 
 
 def test_hello_of_any_version_is_answered_and_nothing_else():

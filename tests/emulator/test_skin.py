@@ -116,6 +116,13 @@ def test_a_short_circuit_is_solved_and_keeps_the_charge(seed, duration_us):
     assert skin.residual_uc.sum() == pytest.approx(total_uc, abs=1e-6)
 
 
+def test_impedances_differ_by_no_more_than_asked():
+    even, uneven = SkinCircuit(500, spread=0.0), SkinCircuit(500, spread=0.2)
+    for name in ("series_ohm", "parallel_ohm", "capacitance_f"):
+        ratio = getattr(uneven, name) / getattr(even, name)
+        assert (ratio.min(), ratio.max()) == pytest.approx((0.8, 1.2), abs=0.01)
+
+
 PULSES = st.lists(
     st.tuples(
         arrays(np.int8, 6, elements=st.integers(-1, 1)),

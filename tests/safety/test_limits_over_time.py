@@ -81,6 +81,19 @@ def test_a_new_session_waits_until_half_of_the_net_charge_is_free(opened):
     assert gate.net_rest_ns() == 0
 
 
+def test_the_dose_is_time_charge_and_net_charge(opened):
+    gate, _ = opened
+    begun_s = gate.dose.seconds
+    gate.check(pulses(3))
+    gate.check(pulses(1, current_ua=-1200, time_ns=SECOND + 1))
+    dose = gate.dose
+    assert dose.seconds - begun_s == pytest.approx(0.04)
+    # A pulse of 2.4 mA has 0.48 µC.
+    assert dose.charge_mc[27:30] == pytest.approx((1.68e-3, 1.68e-3, 0))
+    assert dose.net_uc[27:30] == pytest.approx((1.2, -1.2, 0))
+    assert dose.most_net_uc == pytest.approx(1.2)
+
+
 def test_what_repeats_counts_over_opening_again(opened):
     gate, clock = opened
     gate.check(pulses(60, current_ua=700, width_us=1, period_us=41_000, twin=True), times=1000)

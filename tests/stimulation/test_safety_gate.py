@@ -283,6 +283,9 @@ def test_a_limit_is_the_decimal_that_a_person_wrote():
     limits = SafetyLimits(2, 2.3, 200, 0.5, 200, 0.8, 0.5, 2.3)
     assert limits.current_ua.tolist() == [2300, 2300]
     assert decimal(0.1) * 10 == 1
+    # A pulse is never longer than its limit.
+    shorter = [dataclasses.replace(limits, pulse_us=pulse_us) for pulse_us in (1.9, 2.0, 99.5)]
+    assert [each.width_whole_us for each in shorter] == [1, 2, 99]
 
 
 @pytest.mark.parametrize(("total_ma", "allowed_ua"), [(6.5, 6500), (None, 10_000)])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.bank import load_bank
@@ -17,6 +18,7 @@ from smarttouch.stimulation.scan_sequence import (
     KernelLists,
     KernelTable,
     largest_amplitude,
+    peak_pc,
     quantized,
     round_charge_balanced,
 )
@@ -67,6 +69,16 @@ def test_no_weight_is_above_the_peak_by_rounding(weights):
     whole = quantized(np.array([[*weights, -sum(weights)]])).astype(int)
     assert whole.sum() == 0
     assert np.abs(whole).max() in (0, PEAK)
+
+
+@given(
+    arrays(np.int16, st.tuples(st.integers(0, 4), st.just(3))),
+    st.lists(st.integers(1, 200), min_size=4, max_size=4),
+)
+def test_the_largest_charge_is_that_of_the_strongest_pulse(current_ua, widths_us):
+    pulses = list(zip(current_ua.tolist(), widths_us, strict=False))
+    largest = max((abs(ua) * width_us for row, width_us in pulses for ua in row), default=0)
+    assert peak_pc(current_ua, np.array(widths_us[: len(pulses)], np.uint16)) == largest
 
 
 @given(st.integers(0, 50), st.integers(100, 5000))
