@@ -55,7 +55,7 @@ def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
     goes_on = " ".join(rest.stdout.splitlines()[:2])
     assert "10 of 10" in goes_on
     assert "ann-2-frequency-RA.csv" in goes_on
-    assert len(read_rows(path)) == 10
+    assert [row["participant"] for row in read_rows(path)] == ["ann-simulated-model"] * 10
     # Recordings of a session are numbered.
     assert "run-2.mcap" in rest.stdout
     words = [words for _, words in RecordedRun(tmp_path / "run-2.mcap").events]
@@ -96,7 +96,7 @@ def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_p
     assert figures["emulator_violations"] == 0
     rows = read_rows(path)
     assert len(rows) >= 1
-    assert {row["response"] for row in rows} == {"1"}
+    assert {(row["response"], row["participant"]) for row in rows} == {("1", "")}
     assert [row["thisN"] for row in rows] == list(range(len(rows)))
 
 
@@ -176,6 +176,7 @@ def test_two_modes(program_here, tmp_path):
     row = lines[2].split()
     assert row[:2] == ["30", "200"]
     assert float(row[2]) == pytest.approx(good["threshold"]["value"], rel=0.01)
+    assert f"{good['lower_weber']['value']:.0%}" in row
 
 
 def test_others_answers(figures_of, tmp_path):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+import smarttouch as st
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.events import Advice, ModeChanged, Paused, Resumed
 from smarttouch.profile import load_profile
@@ -21,7 +22,7 @@ from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Frame, Stimulus
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 from smarttouch.views.character_pictures import ArrayPicture, image_rows
-from smarttouch.views.screen import Screen
+from smarttouch.views.screen import Screen, summary_lines
 
 SIZES = [(120, 40), (80, 24), (60, 15)]
 MARKS = "·○◔◑◕●"
@@ -179,3 +180,17 @@ def test_where_nothing_is_drawn(monkeypatch, terminal, dumb, asked, plain):
     screen.close()
     told = [each for each in console.file.getvalue().splitlines() if not each.startswith("keys")]
     assert told == ["a b, p, emulator:", "1.5 s: paused", "2.5 s: goes on"] * plain
+
+
+def test_the_summary_says_what_was_counted():
+    counted = {
+        "rate_asked_hz": 47.0, "rate_hz": 31.5, "slowed_sequences": 4, "lowest_rate_hz": 21.0,
+        "lifts": 5, "without_force_or_image": 6, "worst_other": 0.07, "worst_spill": 0.08,
+    }  # fmt: skip
+    figures = st.run("text:a", "simulated:", seconds=0.5).figures | counted
+    summary = "\n".join(summary_lines(figures, acknowledges=True))
+    for words in (
+        "31.5 Hz of 47.0 Hz requested (4 sequences", "at most to 21.0 Hz", "7% to other classes",
+        "8% to other places", "lifted 5 times", "6 sequences without current",
+    ):  # fmt: skip
+        assert words in summary

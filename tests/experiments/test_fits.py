@@ -186,6 +186,7 @@ def test_which_model():
     assert usual_model([of_counts([0, 2], [1, 1], [0, 1])]) == Model(guess="free")
     assert usual_model([of_counts([1, 2], [1, 1], [0, 1], alternatives=26)]).guess == 1 / 26
     assert usual_model([frequency], 0.5, 0.8) == Model(guess=0.5, at=0.8)
+    assert Model(guess=0.5, at=0.8).share == pytest.approx(0.8)
 
 
 def test_two_modes_in_a_figure(tmp_path):

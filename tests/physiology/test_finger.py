@@ -13,7 +13,7 @@ from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger, axon_path_points
 from smarttouch.physiology.membrane import FIBERS, load_driving
-from smarttouch.physiology.spikes import SpikeModel, ignore_nan, response_quality
+from smarttouch.physiology.spikes import SpikeModel, ignore_nan, middle_90, response_quality
 from smarttouch.profile import load_profile
 
 from ..fit_fibers import fiber_fit
@@ -216,6 +216,8 @@ def test_measures_of_what_was_felt(finger):
     assert np.isnan(nothing.wrong_class)
     assert ignore_nan(max, [1.0, nothing.wrong_class]) == 1
     assert np.isnan(ignore_nan(max, [nothing.wrong_class]))
+    assert middle_90([nothing.wrong_class, *range(101)]) == pytest.approx((50, 5, 95))
+    assert np.isnan(middle_90([nothing.wrong_class])).all()
 
 
 @pytest.mark.parametrize("widths", [(200,), (100, 200, 500)])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.base.afferent import Mode
+from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.running.run_statistics import LatencyHistogram, RunStatistics
 from smarttouch.running.step import Step, StepResult
@@ -50,3 +50,12 @@ def test_the_worst_of_shared_slots_is_kept():
     tally.enter(sent(), None)
     tally.enter(sent(proof=SelectivityReport(np.ones(2, np.uint16), *ratio)), None)
     assert (tally.off_target, tally.spill) == pytest.approx((0.2, 0.2))
+
+
+def test_the_worst_kernels_of_all_modes_count(bank):
+    tally = RunStatistics(kernels=bank, modes={Mode.RA})
+    assert tally.selectivity == (bank.off_target[Afferent.RA].max(), bank.spill[Afferent.RA].max())
+    tally.modes.add(Mode.SAI)
+    both = [Afferent.RA, Afferent.SAI]
+    worst = [max(values[kind].max() for kind in both) for values in (bank.off_target, bank.spill)]
+    assert list(tally.selectivity) == worst

@@ -86,6 +86,12 @@ def test_a_run_from_its_source_to_its_statistics(source, display, bank):
     assert RunEnded in kinds
 
 
+def test_a_listener_that_plays_no_vibration_leaves_pc_to_the_electrodes(source, display):
+    noting = Noting()
+    st.run(source, display, mode="PC", listeners=[noting])
+    assert sum(result.step.sequence.slots for result in noting.results) > 0
+
+
 def test_a_stimulus_source_chooses_the_classes(profile, display):
     class Taps(st.StimulusSource):
         knows_force = True

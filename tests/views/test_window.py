@@ -221,6 +221,15 @@ def test_a_large_page_is_reduced_and_a_small_one_sent_as_it_is():
         assert Image.open(io.BytesIO(png)).width == width
 
 
+def test_the_page_that_is_read_is_served_where_there_is_one(running, monkeypatch):
+    with running() as run:
+        assert ask(run, "GET", "/SECRET/sheet.png").status == 404
+        page = Page(np.zeros((300, 200), np.uint8), 0.1)
+        monkeypatch.setattr(type(run.source), "sheet", Sheet(1, page))
+        answer = ask(run, "GET", "/SECRET/sheet.png")
+        assert (answer.status, answer.headers["content-type"]) == (200, "image/png")
+
+
 @pytest.mark.parametrize("alone", [True, False])
 def test_a_page_that_falls_silent_steers_no_longer(monkeypatch, alone):
     now_s = [100.0]
