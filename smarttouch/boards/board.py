@@ -335,12 +335,11 @@ class Board:
     def send(self, sequence: ScanSequence, times: int = 1, due_ns: int | None = None) -> int:
         """Prove a sequence by the safety gate, then send it.
 
-        It is delivered ``times`` times, unless a newer one arrives.
-
         Parameters
         ----------
         sequence : ScanSequence
         times : int
+            Number of passes, unless a newer sequence arrives.
         due_ns : int, optional
             Planned start, by the board's clock; by default now.
 
@@ -376,18 +375,14 @@ class Board:
         if isinstance(times, int | np.integer) and times > LONGEST_REPEAT:
             raise BoardError(f"{times} repetitions are not possible: at most {LONGEST_REPEAT}")
         if sequence.recharge_ua is not None and not can.recharges:
-            raise BoardError(
-                "the sequence has a recharge phase, but this board cannot make one: leave it out"
-            )
+            raise BoardError("this board cannot make a recharge phase: send sequences without one")
         proved = self._gate.prove(
             sequence, times, number=self._number + 1, due_ns=due_ns, late_ns=self._late_ns
         )
         if proved.peak_ua > 1000 * can.max_current_ma:
             # In a driver, larger counts could wrap around and reverse the current.
-            raise BoardError(
-                f"the sequence has {proved.peak_ua / 1000:g} mA, and this board makes at most "
-                f"{can.max_current_ma:g} mA: lower limits.current_ma in the profile"
-            )
+            made = f"{proved.peak_ua / 1000:g} mA, of at most {can.max_current_ma:g} mA"
+            raise BoardError(f"this board cannot make {made}: lower limits.current_ma")
         try:
             self._number = proved.number
             if self._failure is not None:
