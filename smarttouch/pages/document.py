@@ -41,9 +41,6 @@ are scans with one point per pixel."""
 GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
 _LEAST_BELIEVED_DPI = 50.0
 """Lowest plausible resolution; files state less (1 or 72 by default) where it is unknown."""
-_SIGNATURE, _SIGNATURE_WITHIN = b"%PDF-", 1024
-"""Header of a PDF, and the number of bytes in which readers search for it (ISO 32000-1, Annex
-H.3.4.1)."""
 
 
 class LockedError(PageError):
@@ -154,7 +151,8 @@ class Document(Closing):
 def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None":
     """Return an open PDF; None for other files."""
     with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
-        if _SIGNATURE not in file.read(_SIGNATURE_WITHIN):
+        # Readers search for the header within these bytes (ISO 32000-1, Annex H.3.4.1).
+        if b"%PDF-" not in file.read(1024):
             return None
     try:
         import pypdfium2
@@ -288,11 +286,10 @@ def _spacing(line: list[Segment]) -> tuple[float, float]:
     0 if a line is neither."""
     gaps = [sign.gap(last) for last, sign in itertools.pairwise(line)]
     spaces = [gap for gap, sign in zip(gaps, line[1:], strict=True) if sign.space == _MADE]
-    letters = sum(sign.text.isalpha() for sign in line)
     tracking = statistics.median(gaps) if len(gaps) > 2 else 0.0
-    if letters == len(line) and _TOUCHING / 2 < tracking < _SPACED:
+    if _TOUCHING / 2 < tracking < _SPACED and all(sign.text.isalpha() for sign in line):
         return tracking, 2 * _WIDER * tracking
-    is_even = len(spaces) > 1 and max(spaces) - min(spaces) < _EVEN and 3 * letters > len(line)
+    is_even = len(spaces) > 1 and max(spaces) - min(spaces) < _EVEN
     return 0.0, _EACH * (len(spaces) + 1) * is_even
 
 

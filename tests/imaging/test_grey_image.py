@@ -186,6 +186,13 @@ def test_colors_of_16_bits_are_those_of_8(tmp_path):
     np.testing.assert_array_equal(*greys)
 
 
+def test_each_page_of_16_bits_in_color(tmp_path):
+    levels = [np.dstack([each.astype(np.uint16) * 257] * 3) for each in (PRINT, INK)]
+    cv2.imwritemulti(str(tmp_path / "pages.tif"), levels)
+    with Document(tmp_path / "pages.tif", dpi=150) as document:
+        np.testing.assert_array_equal([document.page(k).grey for k in (0, 1)], [PRINT, INK])
+
+
 def test_colors_that_nobody_sees_do_not_count():
     red = np.dstack([np.full_like(PRINT, 255), PRINT, PRINT, np.full_like(PRINT, 255)])
     hidden = np.where(INK[..., None] > 127, (200, 60, 60, 0), (60, 140, 60, 0))
@@ -211,6 +218,14 @@ def test_frames_stay_comparable():
         for level in (1000, 500, 4000, 1000)
     ]
     assert levels == [249, 125, 249, 62]
+
+
+def test_frames_keep_their_ground():
+    """Also those of which most is print."""
+    converter = GreyConverter()
+    for alpha, grey in ((INK, PRINT), (PRINT, INK)):
+        clear = np.dstack([np.zeros_like(INK), alpha])
+        np.testing.assert_array_equal(converter.convert(clear), grey)
 
 
 @given(
