@@ -8,6 +8,7 @@ import subprocess
 
 import pytest
 
+from smarttouch.base.afferent import Mode
 from smarttouch.running.recording import RecordedRun
 
 from ..boards.fresh import until
@@ -93,5 +94,6 @@ def test_a_stopped_terminal_delays_the_screen_and_neither_the_run_nor_its_keys(t
         figures = ended(process, tmp_path)
     assert b"key q" in shown
     assert figures["ended"] == "key q"
-    assert "mode SAI" in [words for _, words in RecordedRun(tmp_path / "run.mcap").events]
-    assert figures["frames"] > 25 * figures["seconds"]
+    # In the second in which nothing was drawn, 50 times on a computer that is not busy.
+    modes = [each.step.mode for each in RecordedRun(tmp_path / "run.mcap").steps()]
+    assert modes.count(Mode.SAI) > 10

@@ -20,6 +20,7 @@ import threading
 import time
 import traceback
 from collections import Counter
+from contextlib import closing, suppress
 from functools import partial
 
 import numpy as np
@@ -152,10 +153,19 @@ def anodic(limits, level_ua, intensity, time_ns, sites):
     )  # fmt: skip
 
 
+def open_board(board):
+    """Open a board, again if a busy computer has kept its watchdog waiting."""
+    for _ in range(5):
+        with suppress(LineLostError):
+            return board.open()
+    return board.open()
+
+
 def drive_for_ever(board, limits):
     """Drive a board with a pattern that is never the same."""
     draw = random.Random(os.getpid())
-    with board:
+    open_board(board)
+    with closing(board):
         start_ns = now_ns = time.monotonic_ns()
         while True:
             intensity = min(MOST, (now_ns - start_ns) / 1e9 / RISE_S)
@@ -237,7 +247,7 @@ def drive_until_stopped(board, limits, action, from_thread, at_s, said):
         os.write(said, b"stopped\n")
         stopped.append(True)
 
-    board.open()
+    open_board(board)
     signal.signal(signal.SIGTERM, stop)
     os.write(said, b"open\n")
     if from_thread:
