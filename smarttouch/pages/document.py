@@ -28,8 +28,8 @@ from smarttouch.pages.page_image import (
     require_pixels,
     require_size_mm,
 )
+from smarttouch.pages.prepared_page import find_lines
 from smarttouch.pages.reading_order import DOUBTFUL, Line, Segment, reading_order, split
-from smarttouch.pages.text_lines import find_lines
 
 if TYPE_CHECKING:
     import pypdfium2

@@ -1,8 +1,6 @@
 """Separation of ink from paper, for uneven light and both polarities."""
 
-import functools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -14,14 +12,10 @@ Grey = NDArray[np.uint8]
 _WINDOW_PX = 41  # wider than strokes of text, so that a morphological closing leaves only paper
 _PAPER = 210.0  # level of normalized paper, with headroom for grain
 _CONTRAST, _PALE = 0.12, 0.2  # smallest contrast of ink and of pale print, relative to paper
-_GRAINS, _FEWEST = (
-    6.0,
-    2e-4,
-)  # smallest contrast relative to grain; smallest share of the page with it
-_CALM, _GRAINY = (
-    5.0,
-    9.0,
-)  # grain up to which thresholds follow the ink, and above which they do not
+_GRAINS, _FEWEST = 6.0, 2e-4
+"""Smallest contrast relative to grain; smallest share of the page with it."""
+_CALM, _GRAINY = 5.0, 9.0
+"""Grain up to which thresholds follow the ink, and above which they do not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +23,9 @@ class Paper:
     """Page as dark on light, with a mask of its ink."""
 
     ink: NDArray[np.bool_]  # (H, W); empty on blank paper
+    cleaned: Grey  # (H, W), with paper exactly 255 and ink near 0
     light_on_dark: bool
-    clean: Callable[[], Grey]
     faint: bool = False  # whether faint marks, as from the back of the sheet, were left out
-
-    @functools.cached_property
-    def cleaned(self) -> Grey:
-        """Page, (H, W), with paper exactly 255 and ink near 0; computed on first use."""
-        return self.clean()
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
@@ -47,11 +36,10 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     """
     light_on_dark = is_light_on_dark(grey) if light_on_dark is None else light_on_dark
     grey = ~grey if light_on_dark else grey
-    small, factor = grey, 1
-    while factor < 4 and small.size >= 80_000:
-        even = small[: len(small) & ~1, : small.shape[1] & ~1]  # a whole factor is fastest
-        small = np.asarray(cv2.resize(even, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-        factor *= 2
+    factor = 1 if grey.size < 80_000 else 2 if grey.size < 320_000 else 4
+    height, width = (side // factor for side in grey.shape)
+    whole = grey[: height * factor, : width * factor]  # a whole factor is fastest
+    small = np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     paper = _find_paper(small, min(_WINDOW_PX / factor, math.sqrt(small.size) / 12))
     # Sample single pixels: averages would hide the grain.
     flat = cv2.resize(grey, paper.shape[::-1], interpolation=cv2.INTER_NEAREST)
@@ -69,8 +57,8 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     enough = counts[level < sure].sum() >= _FEWEST * flat.size
     enough |= counts[level < 1.4 * sure - 0.4 * middle].sum() >= 4
     if not enough or middle - mean < 0.85 * (middle - sure):
-        blank = np.zeros_like(grey)
-        return Paper(blank > 0, light_on_dark, lambda: ~blank)
+        white = np.full_like(grey, 255)
+        return Paper(white < 255, white, light_on_dark)
     window = (round(20 / factor) | 1,) * 2
     # local means weighted by depth, in which pale edges of strokes have little weight
     depth = np.where(flat <= first, np.float32(middle) - flat, np.float32(0))
@@ -85,14 +73,9 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     white = cv2.convertScaleAbs((middle - max(2.5 * grain, 0.03 * middle)) * light)
     gain = 255 / np.maximum(white - light * (middle - 1.1 * contrast), 1)
     faint = ((flat < sure) & (cv2.blur(depth, (5, 5)) < 1)).mean() > 5 * _FEWEST
-    return Paper(ink, light_on_dark, lambda: _cleaned(grey, white, gain), bool(faint))
-
-
-def _cleaned(grey: Grey, white: Grey, gain: NDArray[np.float32]) -> Grey:
-    """Return a page with white paper and black ink."""
-    depth = cv2.subtract(cv2.resize(white, grey.shape[::-1]), grey)
-    dark = cv2.multiply(depth, cv2.resize(gain, grey.shape[::-1]), dtype=cv2.CV_8U)
-    return np.asarray(cv2.bitwise_not(dark), np.uint8)
+    below = cv2.subtract(cv2.resize(white, grey.shape[::-1]), grey)
+    dark = cv2.multiply(below, cv2.resize(gain, grey.shape[::-1]), dtype=cv2.CV_8U)
+    return Paper(ink, np.asarray(cv2.bitwise_not(dark), np.uint8), light_on_dark, bool(faint))
 
 
 def _find_paper(small: Grey, side: float) -> Grey:
@@ -114,9 +97,7 @@ def _find_paper(small: Grey, side: float) -> Grey:
 def _closed(image: Grey, side_px: float) -> Grey:
     """Remove dark spots narrower than a window."""
     square = np.ones((max(3, round(side_px)) | 1,) * 2, np.uint8)
-    calm = cv2.blur(
-        image, (3, 3)
-    )  # average first, or the brightest grains would determine the result
+    calm = cv2.blur(image, (3, 3))  # or the brightest grains would determine the result
     return np.asarray(cv2.blur(cv2.erode(cv2.dilate(calm, square), square), (3, 3)), np.uint8)
 
 

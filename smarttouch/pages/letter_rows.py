@@ -15,23 +15,18 @@ Floats = NDArray[np.float64]
 Ink = NDArray[np.bool_]
 Indices = NDArray[np.int_]
 
-_LEAST_SIDE = 3  # smallest height of a letter
-_LARGEST_PART = (
-    0.25  # size above which a component is not a letter, relative to the page's shorter side
-)
+_LEAST_SIDE, _LARGEST_PART = 3, 0.25
+"""Smallest height of a letter, px, and size above which a component is not a letter, relative to
+the page's shorter side."""
 _DOT = 0.7  # filled share of the box above which a component is a dot
 _RULE = 12.0  # ratio of length to thickness above which a component is a rule
 _LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the typical one
 _COMMA = (0.8, 0.5)  # largest height and width of a comma or quote, in typical heights
 _LONGEST = 40.0  # largest ratio of length to height of a word with touching letters
-_UNDERLINE, _THIN, _HANGING = 3.0, 0.3, 0.2
-"""Smallest length and largest thickness of an underline, in letter heights; largest share of ink
-below it."""
-_TWO_LINES, _TWO_HIGH, _LEAST_LINE = 1.7, 4.0, 0.6
-"""Heights, in letter heights, of a component that may span two lines, of a narrow one, and of a
-line."""
-_VALLEY = 0.3  # ink between two touching lines, relative to the ink in each
-_FILLED = 0.15  # smallest filled share of the box of a picture
+_UNDERLINE, _THIN = 3.0, 0.3  # least length and largest thickness, in letter heights
+_TWO_LINES, _LEAST_LINE = 1.7, 0.6
+"""Heights, in letter heights, of a component that may span two lines, and of a line."""
+_VALLEY = 0.25  # ink between two touching lines, relative to the ink in each
 
 
 def weighted_median(values: Indices | Floats, weight: Floats) -> float:
@@ -70,6 +65,10 @@ class Components(NamedTuple):
         """Length of the row of components, in typical heights."""
         return float(self.right.max() - self.left.min()) / self.usual_height
 
+    def box(self, index: int) -> tuple[slice, slice]:
+        """Return the rows and columns of a component."""
+        return np.s_[self.top[index] : self.bottom[index], self.left[index] : self.right[index]]
+
     def of(self, chosen: NDArray[np.bool_] | Indices) -> "Components":
         """Return some of the components."""
         return Components(*(column[chosen] for column in self))
@@ -104,53 +103,35 @@ def like_letters(components: Components, height: float) -> NDArray[np.bool_]:
     return np.asarray(right_size & (wide < _LONGEST * tall))
 
 
-def are_pictures(components: Components, height: float) -> NDArray[np.bool_]:
-    """Return for each component, (N,), whether it is large both ways, and filled."""
-    wide, tall = components.width, components.height
-    large = np.minimum(wide, tall) > _LETTER[1] * height
-    return np.asarray(large & (components.area > _FILLED * wide * tall))
-
-
 def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
     """Return masks, (H, W), of horizontal rules and underlines, and of vertical rules."""
-    page = ink.view(np.uint8)
-    thick, long = max(3, round(_THIN * height)), round(_RULE * height)
-    run = np.ones((1, round(_UNDERLINE * height)), np.uint8)
-    rules = cv2.morphologyEx(page, cv2.MORPH_OPEN, run).view(np.bool_)
-    runs, labels = find_components(rules)
-    is_rule = runs.width > long
-    for k in np.flatnonzero(~is_rule & (runs.height <= thick)):
-        across, bottom = slice(runs.left[k], runs.right[k]), runs.bottom[k]
-        # In some scripts letters hang from a line above.
-        below = ink[bottom + 1 : bottom + 1 + thick, across]
-        is_rule[k] = below.size and below.mean() < _HANGING
-    rules = np.append(False, is_rule)[labels]
+    page, long = ink.view(np.uint8), round(_RULE * height)
+    # In some scripts letters hang from a line above.
+    thick = max(3, round(_THIN * height))
+    bare = page & ~np.pad(page, ((0, thick), (0, 0)))[thick:]
     # A slightly tilted rule has steps of one pixel.
     wide = cv2.dilate(page, np.ones((1, 3), np.uint8))
-    upright = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((long, 1), np.uint8))
-    upright = np.asarray(cv2.min(upright, page), np.uint8)
-    thicker = cv2.dilate(rules.view(np.uint8), np.ones((3, 1), np.uint8))
-    return thicker.view(np.bool_), upright.view(np.bool_)
+    underlines, rules, upright = (
+        np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones(run, np.uint8)), np.uint8)
+        for mask, run in (
+            (bare, (1, round(_UNDERLINE * height))), (page, (1, long)), (wide, (long, 1))
+        )
+    )  # fmt: skip
+    thicker = np.asarray(cv2.dilate(rules | underlines, np.ones((3, 1), np.uint8)), np.uint8)
+    return thicker.view(np.bool_), (upright & page).view(np.bool_)
 
 
 def part_lines(ink: Ink, components: Components, height: float) -> Ink:
     """Return the ink, (H, W), cut where letters of successive lines touch."""
-    wide, tall = components.width, components.height
-    may_be_two = (tall > _TWO_LINES * height) & (tall < _LETTER[1] * height)
-    may_be_two &= (wide >= tall) | ((2 * wide >= tall) & (tall < _TWO_HIGH * height))
-    parted, least = ink.copy() if may_be_two.any() else ink, round(_LEAST_LINE * height)
-    for k in np.flatnonzero(may_be_two):
-        across = slice(components.left[k], components.right[k])
-        parts = [(int(components.top[k]), int(components.bottom[k]))]
-        while parts:
-            first, last = parts.pop()
-            if last - first <= _TWO_LINES * height:
-                continue
-            profile = ink[first:last, across].sum(axis=1)
-            cut = least + int(profile[least:-least].argmin())
-            if profile[cut] < _VALLEY * min(profile[:cut].max(), profile[cut:].max()):
-                parted[first + cut, across] = False
-                parts += [(first, first + cut), (first + cut + 1, last)]
+    wide, tall, parted = components.width, components.height, ink.copy()
+    may_be_two = (tall > _TWO_LINES * height) & (tall < _LETTER[1] * height) & (2 * wide >= tall)
+    around = np.ones((2 * round(_LEAST_LINE * height) + 1, 1), np.uint8)
+    for k in np.flatnonzero(may_be_two).tolist():
+        profile = ink[components.box(k)].sum(axis=1, dtype=np.float32)
+        above, below = (np.maximum.accumulate(part) for part in (profile, profile[::-1]))
+        valley = profile < _VALLEY * np.minimum(above, below[::-1])
+        valley &= profile == cv2.erode(profile, around).ravel()
+        parted[components.box(k)][valley] = False
     return parted
 
 
@@ -163,9 +144,9 @@ _LANE_PX = 3.0  # letter height, px, at which lanes are searched
 _NARROWEST, _LANES = 0.75, ((1.25, 15.0), (1.9, 8.0))
 """Smallest width of the lane between columns, in letter heights, and in typical spaces for lanes of
 a given length."""
-_LANE_REACH, _SHORT_LINES = 16.0, 6.5
+_LANE_REACH, _SHORT_LINES, _LANE_GAP = 16.0, 6.5, 25.0
 """Largest distance between a lane and the print on both sides, and largest height of gaps in that
-print, in letter heights."""
+print and in a lane, in letter heights."""
 
 
 def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[Components]:
@@ -212,6 +193,11 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
         width = max(3, round(max(_NARROWEST * height, spaces * space)))
         lane = np.ones((round(length * height / part), width), np.uint8)
         lanes |= cv2.morphologyEx(white.view(np.uint8), cv2.MORPH_OPEN, lane) > 0
+    # A lane goes on across rows beside which a column has a gap.
+    longer = np.ones((round(_LANE_GAP * height / part) | 1, 1), np.uint8)
+    within = cv2.morphologyEx(lanes.view(np.uint8), cv2.MORPH_CLOSE, longer, borderValue=0)
+    wide = cv2.morphologyEx(1 - page, cv2.MORPH_OPEN, np.ones((3, width), np.uint8))
+    lanes |= cv2.min(within, wide) > 0
     return np.repeat(lanes, part, axis=0)[:rows]
 
 
@@ -245,18 +231,17 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
 
 
 _WORD, _PIECE = 1.3, 0.6  # width above which a component is several letters; width of a piece of it
-_DEGREES = (
-    8.0,
-    20.0,
-    40.0,
-)  # smallest lengths of lines fitted with a slope, a bend and a second bend
+_DEGREES = (8.0, 20.0, 40.0)
+"""Smallest lengths of lines fitted with a slope, a bend and a second bend, in letter heights."""
 _DESCENDING = 2.5  # weight of deviations below a baseline
 _ROUNDS = 5  # iterations of the robust fit
 _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # tried x-heights, in letter heights
 _NEAR = (0.1, 0.5)  # tolerance of equal heights: in x-heights, plus pixels
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of the reach of ascenders and of descenders from the baseline, in x-heights."""
-_UNDECIDED = 0.2  # part of the letters that end above a baseline that may be too low
+_ABOVE, _UNDECIDED = 0.1, 0.35
+"""Distance above a baseline, in letter heights, and share of the letters that end there if it is
+too low."""
 _STROKES = (0.75, 2.9)  # strokes per x-height of letters; print has 0.9 to 1.9
 _TOUCHING = 1.3  # usual width of components in which letters run together, in x-heights
 _ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.65, 0.52, 0.8
@@ -319,26 +304,16 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     x-height or the height of ascenders. ``slope`` is the slope of surrounding lines, for short
     rows.
     """
-    left = float(letters.left.min())
-    x, top, bottom = _pieces(ink, letters, letters.usual_height)
+    left, right, height = letters.left.min(), letters.right.max(), letters.usual_height
+    x, top, bottom = _pieces(ink, letters, height)
     degree = min(int(np.searchsorted(_DEGREES, letters.length)), max(0, len(x) - 2))
     curve = np.append(_fitted(x - left, bottom - slope * (x - left), degree), 0.0)
     curve[1] += slope
-    row = _on_curve(ink, letters, curve, x, top, bottom)
-    above = row.fall < -_NEAR[0] * row.x_height - _NEAR[1]
+    off = bottom - polynomial.polyval(x - left, curve)
+    above = off < -_ABOVE * height
     if above.mean() > _UNDECIDED:
-        # If most letters descend, the others determine the baseline.
-        curve = np.append(curve[0] + np.median(row.fall[above]), curve[1:])
-        higher = _on_curve(ink, letters, curve, x, top, bottom)
-        row = max(row, higher, key=lambda candidate: candidate.on_levels)
-    return row
-
-
-def _on_curve(
-    ink: Ink, letters: Components, curve: Floats, x: Floats, top: Floats, bottom: Floats
-) -> Baseline:
-    """Return a row with this baseline; middles, tops and bottoms of its pieces are (P,)."""
-    left, right, height = letters.left.min(), letters.right.max(), letters.usual_height
+        # Most letters descend, so the others determine the baseline.
+        curve[0] += np.median(off[above])
     base = polynomial.polyval(x - left, curve)
     rise = base - top
     tried = height * _X_HEIGHTS
@@ -366,8 +341,8 @@ def _pieces(ink: Ink, letters: Components, height: float) -> tuple[Floats, Float
     pieces."""
     long = letters.width > _WORD * height
     rows = [np.stack([(letters.left + letters.right) / 2, letters.top, letters.bottom])[:, ~long]]
-    for k in np.flatnonzero(long):
-        box = ink[letters.top[k] : letters.bottom[k], letters.left[k] : letters.right[k]]
+    for k in np.flatnonzero(long).tolist():
+        box = ink[letters.box(k)]
         starts = np.linspace(0, box.shape[1], round(box.shape[1] / height / _PIECE) + 1)
         inked = np.add.reduceat(box, starts[:-1].astype(int), axis=1) > 0
         top = letters.top[k] + inked.argmax(axis=0)

@@ -1,147 +1,44 @@
-"""Pages prepared for reading: straight, dark on white, with lines in order, and strips of lines."""
+"""Pages prepared for reading: straight, dark on white, with their lines in reading order."""
 
 import math
 import textwrap
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.polynomial import Polynomial
 from PIL import Image, ImageDraw, ImageFont
 
 from smarttouch.base.errors import PageError
-from smarttouch.pages.ink import Grey
+from smarttouch.pages.ink import Grey, separate_ink
+from smarttouch.pages.letter_rows import (
+    MANY,
+    Baseline,
+    Components,
+    Floats,
+    Ink,
+    find_components,
+    find_rows,
+    find_rules,
+    like_letters,
+    measure_row,
+    part_lines,
+    usual_height,
+    weighted_median,
+)
 from smarttouch.pages.page_image import INCH_MM, Page, TextLine, require_size_mm
-from smarttouch.pages.text_lines import page_lines
-
-_AROUND = 0.8  # considered area above and below a line, in heights of the line
-SIDES = 0.25  # margin before and after a line, in heights of the line
-_INK = 128  # level of ink for spots of neighboring lines
-_FADED = 2  # width of the gray edge of a spot, in samples
-
-
-def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int) -> Grey:
-    """Cut a line out of a page, straightened along its baseline, (height_px, W) uint8.
-
-    The height is from ascenders to descenders; `SIDES` is the margin at each end. Parts of the
-    lines above and below are removed.
-    """
-    line_px = line.height_mm / mm_per_pixel
-    # Sample a small strip at the resolution of the page, then average.
-    steps = max(1, math.ceil(line_px / height_px))
-    rows = steps * height_px
-    scale_mm = line.height_mm / rows
-    sides_mm, above = SIDES * line.height_mm, round(_AROUND * rows)
-    width = max(1, round((line.right_mm - line.left_mm + 2 * sides_mm) / scale_mm / steps))
-    along_mm = np.asarray(
-        line.left_mm - sides_mm + (np.arange(width * steps) + 0.5) * scale_mm, np.float64
-    )
-    across_mm = (np.arange(-above, rows + above) + 0.5) * scale_mm - line.ascent_mm
-    # Do not tilt columns: strokes stay upright on a curved page.
-    x_mm = np.broadcast_to(along_mm, (len(across_mm), len(along_mm)))
-    y_mm = line.baseline_mm(along_mm) + across_mm[:, None]
-    wide = cv2.remap(
-        cleaned,
-        np.asarray(x_mm / mm_per_pixel - 0.5, np.float32),
-        np.asarray(y_mm / mm_per_pixel - 0.5, np.float32),
-        cv2.INTER_CUBIC if rows > line_px else cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=255,
-    )
-    strip = _without_neighbors(np.asarray(wide, np.uint8), above, rows)
-    return np.asarray(cv2.resize(strip, (width, height_px), interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _without_neighbors(wide: Grey, above: int, rows: int) -> Grey:
-    """Return the middle rows of a larger cut, without spots whose center is outside of them."""
-    ink = (wide < _INK).view(np.uint8)
-    _, labels, _, centers = cv2.connectedComponentsWithStats(ink, connectivity=8)
-    is_foreign = np.abs(centers[:, 1] - above - rows / 2) > rows / 2
-    is_foreign[0] = False
-    spots = is_foreign.astype(np.uint8)[labels]
-    faded = cv2.dilate(spots, np.ones((2 * _FADED + 1,) * 2, np.uint8)) > 0
-    # Keep nearby ink of this line.
-    cut = np.where(faded & ((labels == 0) | (spots > 0)), np.uint8(255), wide)
-    return cut[above : above + rows]
-
-
-Corners = NDArray[np.float64]
-
-_SIDE_PX = 480  # longer side of the image for sheet detection
-_LEAST_PART = 0.2  # smallest share of the photograph covered by a sheet
-_LARGEST_PART = 0.97  # share above which the image is a scan
-_LOG_STEPS = (0.1, 0.15, 0.25, 0.4, 0.7)
-"""Smallest steps, in logarithm of the level, of the edges of a sheet; shadows have smaller ones."""
-_LEAST_FILLED = 0.93  # smallest share of the quadrilateral that is bright
-_LEAST_STEP = 25.0
-"""Smallest drop of the gray level from paper to background at a visible edge."""
-_EDGE_PX = 6  # distance from an edge at which its sides are compared
-_LEAST_SIDES = 3  # smallest number of visible edges; others may be edges of the photograph
-_ROUGH = 0.02  # tolerance of a quadrilateral outline, relative to its length
-_SQUARE = np.ones((3, 3), np.uint8)
-_INSET = 0.006  # share of the sheet removed at its blurred edges
-
-
-def find_sheet(grey: Grey) -> Corners | None:
-    """Return the corners of a bright sheet, (4, 2) px, clockwise from the top left, or None."""
-    factor = _SIDE_PX / max(grey.shape)
-    size = (max(8, round(grey.shape[1] * factor)), max(8, round(grey.shape[0] * factor)))
-    small = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
-    # Fill the print on the sheet first.
-    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
-    paper = np.asarray(cv2.morphologyEx(small, cv2.MORPH_CLOSE, around), np.uint8)
-    edges = cv2.morphologyEx(np.log(paper + np.float32(8)), cv2.MORPH_GRADIENT, _SQUARE)
-    largest, found = _LEAST_PART * small.size, None
-    for step in _LOG_STEPS:
-        _, labels, boxes, _ = cv2.connectedComponentsWithStats((edges < step).astype(np.uint8))
-        for k in np.argsort(-boxes[1:, cv2.CC_STAT_AREA])[:2] + 1:
-            area = cv2.dilate((labels == k).astype(np.uint8), _SQUARE)
-            outlines, _ = cv2.findContours(area, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-            outline = max(outlines, key=cv2.contourArea)
-            covered = cv2.contourArea(outline)
-            # Take the largest area, as a sheet may be partly lit.
-            if largest < covered < _LARGEST_PART * small.size:
-                hull = cv2.convexHull(outline)
-                corners = cv2.approxPolyDP(hull, _ROUGH * cv2.arcLength(hull, True), True)[:, 0]
-                if len(corners) == 4 and _is_sheet(corners.astype(float), covered, paper):
-                    largest, found = covered, corners
-    if found is None:
-        return None
-    return np.asarray((np.roll(found, -int(found.sum(axis=1).argmin()), axis=0) + 0.5) / factor)
-
-
-def flattened(grey: Grey, corners: Corners) -> Grey:
-    """Rectify a sheet, at its finest resolution."""
-    middle = corners.mean(axis=0)
-    corners = middle + (1 - _INSET) * (corners - middle)
-    across, down = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
-    width = max(2, round(max(math.hypot(*across[0]), math.hypot(*across[2]))))
-    height = max(2, round(max(math.hypot(*down[0]), math.hypot(*down[2]))))
-    target = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
-    matrix = cv2.getPerspectiveTransform(corners.astype(np.float32), target)
-    flat = cv2.warpPerspective(
-        grey, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
-    )
-    return np.asarray(flat, np.uint8)
-
-
-def _is_sheet(corners: Corners, covered: float, paper: Grey) -> bool:
-    """Return whether four corners enclose a sheet on a darker background."""
-    if abs(covered / cv2.contourArea(corners.astype(np.float32)) - 1) > 1 - _LEAST_FILLED:
-        return False
-    around, seen = np.pad(paper, _EDGE_PX, mode="edge").astype(np.float64), 0
-    for corner, side in zip(corners, np.roll(corners, -1, axis=0) - corners, strict=True):
-        along = corner + np.linspace(0.1, 0.9, 40)[:, None] * side + _EDGE_PX
-        outwards = _EDGE_PX * np.array([side[1], -side[0]]) / np.hypot(*side)
-        inside, outside = (
-            around[tuple(np.rint(along + off).astype(int).T[::-1])] for off in (-outwards, outwards)
-        )
-        seen += np.percentile(inside - outside, 20) >= _LEAST_STEP
-    return bool(seen >= _LEAST_SIDES)
-
+from smarttouch.pages.reading_order import DOUBTFUL, Segment, reading_order
+from smarttouch.pages.straighten import cut_strip, find_sheet, flattened, turned
 
 LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
 """Note of a sheet that was found."""
+FAINT = "faint marks, as of print on the back of the sheet"
+_SMALL_PX, _LARGEST_PIXELS = 9.0, 40_000_000
+"""Letter height below which a page is enlarged, and the largest enlarged page."""
+_PICTURE, _FILLED = 9.0, 0.15
+"""Least width and height of a picture, in letter heights, and filled share of its box."""
+_FEWEST_PIXELS = 3  # smallest area of a component of print
+_HEIGHT = 0.96  # from ascender to descender, in font sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +49,7 @@ class PreparedPage:
     cleaned: Grey
     lines: tuple[TextLine, ...]
     light_on_dark: bool
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     words: tuple[str, ...] = ()  # text of each line, if the page provides it
     known: dict[int, tuple[str, float]] = field(default_factory=dict)
     """Texts of recognized lines, with confidences in [0, 1]."""
@@ -162,24 +59,270 @@ class PreparedPage:
         return cut_strip(self.cleaned, self.page.mm_per_pixel, self.lines[index], height_px)
 
 
+def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
+    """Return the lines of text in reading order; None means to detect the polarity."""
+    return list(_with_lines(page, light_on_dark).lines)
+
+
 def prepare_page(
-    page: Page,
-    light_on_dark: bool | None = None,
-    leftward: bool = False,
+    page: Page, light_on_dark: bool | None = None, leftward: bool = False
 ) -> PreparedPage:
     """Prepare a scan, photograph or picture of print for reading; detect the polarity by default.
     Columns of ``leftward`` scripts are read from right to left."""
-    notes: list[str] = []
     corners = find_sheet(page.grey)
-    if corners is not None:
-        page = Page(flattened(page.grey, corners), page.mm_per_pixel)
-        notes.append(LAID_FLAT)
-    found = page_lines(page, light_on_dark, leftward, turn=True)
-    paper = found.paper
-    notes += found.notes
-    return PreparedPage(
-        found.page, paper.cleaned, tuple(found.lines), paper.light_on_dark, tuple(notes)
-    )
+    if corners is None:
+        return _with_lines(page, light_on_dark, leftward, turn=True)
+    sheet = Page(flattened(page.grey, corners), page.mm_per_pixel)
+    prepared = _with_lines(sheet, light_on_dark, leftward, turn=True)
+    return replace(prepared, notes=(LAID_FLAT, *prepared.notes))
+
+
+def _with_lines(
+    page: Page, light_on_dark: bool | None, leftward: bool = False, turn: bool = False
+) -> PreparedPage:
+    """Find the lines of a page.
+
+    With ``turn`` its skew is corrected first. Dark panels are inverted, and small print is
+    enlarged.
+    """
+    paper = separate_ink(page.grey, light_on_dark)
+    light_on_dark, ink, cleaned = paper.light_on_dark, paper.ink, paper.cleaned
+    components, labels = find_components(ink)
+    height = usual_height(components, ink.shape)
+    if height is None:
+        notes = ("left out: " + FAINT,) * paper.faint
+        return PreparedPage(page, cleaned, (), light_on_dark, notes)
+    skew_deg = skew_of(components.of(like_letters(components, height)), height)
+    if turn and skew_deg:
+        level = Page(turned(page.grey, skew_deg), page.mm_per_pixel)
+        prepared = _with_lines(level, light_on_dark, leftward)
+        note = f"the text was tilted by {abs(skew_deg):.1f}° and was turned level"
+        return replace(prepared, notes=(note, *prepared.notes))
+    factor = math.ceil(_SMALL_PX / height)
+    if 1 < factor**2 <= _LARGEST_PIXELS / page.grey.size:
+        grey = cv2.resize(page.grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+        larger = Page(np.asarray(grey, np.uint8), page.mm_per_pixel / factor)
+        return _with_lines(larger, light_on_dark, leftward)
+    panels = _panels(ink, components, height)
+    if panels.any():
+        ink, cleaned = ink ^ panels, np.where(panels, ~cleaned, cleaned)
+    rules, dividers = find_rules(ink, height)
+    ink &= ~rules & ~dividers
+    components, _ = find_components(ink)
+    ink = part_lines(ink, components, height)
+    components, labels = find_components(ink)
+    large = np.minimum(components.width, components.height) > _PICTURE * height
+    pictures = large & (components.area > _FILLED * components.width * components.height)
+    walls = dividers | np.append(False, pictures)[labels]
+    components = components.of(components.area >= _FEWEST_PIXELS)
+    letters = components.of(like_letters(components, height))
+    slope = math.tan(math.radians(skew_deg))
+    lines, small = _measured(ink, find_rows(letters, ink, walls, height), slope)
+    order, is_doubtful = _ordered(lines, components, page, slope, leftward)
+    counts = ((small, "line", "too small"), (int(pictures.sum()), "picture", ""))
+    left_out = [f"{n} {what}{'s' * (n > 1)} {why}".strip() for n, what, why in counts if n]
+    left_out += [FAINT] * paper.faint
+    notes = (DOUBTFUL,) * is_doubtful + ("left out: " + ", ".join(left_out),) * bool(left_out)
+    return PreparedPage(page, cleaned, order, light_on_dark, notes)
+
+
+_SKEWS_DEG = np.linspace(-16, 16, 321)
+_LEAST_SKEW_DEG, _PEAK_DEG = 0.2, 0.6  # smallest skew to correct; half width of a peak
+_BIN, _FEWEST, _SURE = 0.25, 30, 2.0
+"""Bin height of the histogram of lower ends, in letter heights; smallest number of letters, and
+smallest ratio of the peak to typical counts, for a reliable skew."""
+
+
+def skew_of(letters: Components, height: float) -> float:
+    """Return the clockwise skew, degrees, at which most lower ends of letters are aligned; 0 if
+    uncertain. ``height`` is the typical letter height, px."""
+    x = (letters.left + letters.right) / 2
+    if len(x) < _FEWEST:
+        return 0.0
+    rows = (letters.bottom - np.tan(np.radians(_SKEWS_DEG))[:, None] * x) / (_BIN * height)
+    rows = (rows - rows.min()).astype(int)
+    count = np.array([float(np.square(np.bincount(row)).sum()) for row in rows])
+    near = np.abs(_SKEWS_DEG - _SKEWS_DEG[count.argmax()]) < _PEAK_DEG
+    skew_deg = np.average(_SKEWS_DEG, weights=near * np.maximum(count - 0.7 * count.max(), 0))
+    sure = count.max() > _SURE * np.median(count)
+    return float(skew_deg) if sure and abs(skew_deg) >= _LEAST_SKEW_DEG else 0.0
+
+
+_LEAST_SIDES, _LEAST_INK = (2.5, 5.0), 0.6
+"""Smallest height and width of a panel, in letter heights, and smallest share of ink."""
+_LIGHT_LETTER, _FEWEST_LETTERS = (0.5, 9.0), 4
+"""Range of letter heights in a panel, in letter heights of the page; halftones have smaller
+dots."""
+
+
+def _panels(ink: Ink, components: Components, height: float) -> Ink:
+    """Return a mask of dark panels with light print, (H, W)."""
+    wide, tall = components.width, components.height
+    large = (tall > _LEAST_SIDES[0] * height) & (wide > _LEAST_SIDES[1] * height)
+    panels = np.zeros_like(ink)
+    for k in np.flatnonzero(large & (components.area > _LEAST_INK * wide * tall)).tolist():
+        box = components.box(k)
+        letters, _ = find_components(~ink[box])
+        typical = usual_height(letters, ink.shape) or 0.0
+        alike = np.count_nonzero((letters.height > typical / 2) & (letters.height < 2 * typical))
+        right_size = _LIGHT_LETTER[0] * height < typical < _LIGHT_LETTER[1] * height
+        panels[box] |= right_size and alike >= _FEWEST_LETTERS
+    return panels
+
+
+_HOPELESS, _MISSES = 60, 3
+"""Failed rows, and additional ones per line of text, after which the rest is a picture's."""
+_LEAST_X_HEIGHT_PX = 3.5  # least x-height of readable print
+_SHORT = 11.0  # length of a row, in letter heights, below which it has the slope of one nearby
+
+
+def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Baseline], int]:
+    """Return the measures of rows that are text, and the number of rows that are too small to
+    read."""
+    measured: list[Baseline] = []
+    small = 0
+    for tried, row in enumerate(sorted(rows, key=lambda row: -row.length)):
+        if tried > _HOPELESS + _MISSES * len(measured):
+            break
+        if row.length < _SHORT and measured:
+            x, y = float(np.median(row.left)), float(np.median(row.bottom))
+            off = [
+                abs(line.middle_y - y) + max(line.left - x, x - line.right, 0) for line in measured
+            ]
+            slope = float(np.diff(measured[int(np.argmin(off))].at(np.array([x, x + 1])))[0])
+        line = measure_row(ink, row, slope)
+        if line.x_height < _LEAST_X_HEIGHT_PX:
+            small += len(row.area) >= MANY
+        elif line.is_text:
+            measured.append(line)
+    return _credible(ink, measured), small
+
+
+_EVEN, _FEW, _SIMILAR, _MOST_OF_ALL = 0.85, 4, 1.7, 0.8
+"""Part of the letters at their levels of a line that needs few to be sure, and these few; ratio of
+sizes at which others are lines, and their part of all ink without any sure."""
+_OWN, _AROUND, _FOREIGN, _NEAR_FOREIGN = (-1.8, 0.6), (-1.7, 0.5), 0.1, 0.5
+"""Extent of a line around its baseline, in x-heights, and of the ink around it, in letter heights;
+most foreign ink there, relative to its own and for each of its letters, also of an even line."""
+
+
+def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
+    """Return lines that are not parts of a picture. Those are surrounded by other ink, have few
+    letters, or letters of different heights."""
+    rest = ink.astype(np.uint8)
+    for line in (line for line in lines if len(line.rise) > 1):
+        x = np.linspace(line.left, line.right, 20)
+        top, bottom = (line.at(x) + reach * line.x_height for reach in _OWN)
+        corners = np.column_stack([np.append(x, x[::-1]), np.append(top, bottom[::-1])])
+        cv2.fillPoly(rest, [np.rint(corners).astype(np.int32)], (0,))
+    credible, sure = [], []
+    for line in lines:
+        size, count, even = line.letters.usual_height, len(line.rise), line.on_levels >= _EVEN
+        top, bottom = np.maximum(line.middle_y + np.multiply(_AROUND, size), 0).astype(int)
+        left, right = max(0, round(line.left - size)), round(line.right + size)
+        limit = _NEAR_FOREIGN if even and count >= _FEW else _FOREIGN
+        area = int(line.letters.area.sum())
+        # A single component in another line is a part of a letter.
+        is_part = count == 1 and 2 * np.count_nonzero(rest[line.letters.box(0)]) < area
+        limit = (limit * min(count, MANY) + (count == 1)) * area
+        if np.count_nonzero(rest[top:bottom, left:right]) < limit and not is_part:
+            credible.append(line)
+            sure += [line.x_height] if count >= (_FEW if even else MANY) else []
+    if not sure:
+        area = sum(int(line.letters.area.sum()) for line in credible)
+        return credible if area > _MOST_OF_ALL * np.count_nonzero(ink) else []
+    return [
+        line for line in credible
+        if np.abs(np.log(np.divide(sure, line.x_height))).min() < math.log(_SIMILAR)
+    ]  # fmt: skip
+
+
+def _ordered(
+    lines: list[Baseline], components: Components, page: Page, slope: float, leftward: bool
+) -> tuple[tuple[TextLine, ...], bool]:
+    """Return lines with their marks in reading order, in mm, and whether that is doubtful."""
+    if not lines:
+        return (), False
+    x_height, ascent, descent = _sizes(lines)
+    levels = [line.middle_y - slope * (line.left + line.right) / 2 for line in lines]
+    sizes = ((ascent + descent) * x_height / _HEIGHT).tolist()
+    ends = _ends(lines, components)
+    words = [
+        Segment("", left, right, level, size, -1 - k)
+        for k, ((left, right), level, size) in enumerate(zip(ends, levels, sizes, strict=True))
+    ]
+    ordered, scale = reading_order(words, len(page.grey), leftward), page.mm_per_pixel
+    found = []
+    for row in ordered:
+        for cell, word in enumerate(row.segments, 1):
+            k = -1 - word.place
+            size = float(x_height[k]) * scale
+            moved = Polynomial(lines[k].curve)(Polynomial([word.left - lines[k].left, 1]))
+            curve = np.asarray(moved.coef, np.float64)
+            found.append(
+                TextLine(
+                    left_mm=word.left * scale,
+                    right_mm=word.right * scale,
+                    baseline=tuple((curve * scale ** (1.0 - np.arange(len(curve)))).tolist()),
+                    x_height_mm=size,
+                    ascent_mm=ascent * size,
+                    descent_mm=descent * size,
+                    cell=cell if row.is_cells else 0,
+                )
+            )
+    return tuple(found), any(row.is_doubtful for row in ordered)
+
+
+_REACH, _FARTHEST, _ABOVE, _BELOW = 1.2, 3.5, 1.6, 0.5
+"""Largest distances of a mark, in x-heights: from the end of its line, for the last mark, above and
+below the baseline."""
+_LONGEST = 2.5  # largest side of a dot, dash or single letter, in x-heights
+
+
+def _ends(lines: list[Baseline], components: Components) -> list[tuple[float, float]]:
+    """Return the left and right ends of lines, with the marks there."""
+    letters = np.concatenate([line.letters.left + 1j * line.letters.top for line in lines])
+    free = components.of(~np.isin(components.left + 1j * components.top, letters))
+    x, y = (free.left + free.right) / 2, (free.top + free.bottom) / 2
+    long = np.maximum(free.width, free.height)
+    ends = []
+    for line in lines:
+        size = line.x_height
+        above = (line.at(x) - y) / size
+        marks = free.of((above < _ABOVE) & (above > -_BELOW) & (long < _LONGEST * size))
+        left, right = line.left, line.right
+        for _ in range(8):
+            near = (marks.left < right + _REACH * size) & (marks.right > left - _REACH * size)
+            left = float(np.min(marks.left[near], initial=left))
+            right = float(np.max(marks.right[near], initial=right))
+        # Longer rows of marks are leader dots.
+        left = left if line.left - left < _FARTHEST * size else line.left
+        ends.append((left, right if right - line.right < _FARTHEST * size else line.right))
+    return ends
+
+
+_SAME, _CAPITALS, _CAPITAL = 0.15, 0.08, 1.42
+"""Relative difference of x-heights of one font size; share of tall letters below which all are
+capitals; height of a capital, in x-heights."""
+_ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
+"""Ranges of ascent and descent, in x-heights."""
+
+
+def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:
+    """Return the x-height of each line, (N,) px, and the common ascent and descent, in x-heights.
+
+    Lines of one font size share it; lines of capitals and figures measure taller.
+    """
+    size, length = np.array([(line.x_height, line.right - line.left) for line in lines]).T
+    tall = np.array([np.mean(line.rise > 1.25 * line.x_height) for line in lines])
+    capitals = np.abs(size / weighted_median(size, length) / _CAPITAL - 1) < _SAME
+    size = np.where(capitals & (tall < _CAPITALS), size / _CAPITAL, size)
+    near = np.abs(size[:, None] / size - 1) < _SAME
+    size = np.array([weighted_median(size[k], length[k]) for k in near])
+    above = np.concatenate([line.rise / x for line, x in zip(lines, size, strict=True)])
+    below = np.concatenate([line.fall / x for line, x in zip(lines, size, strict=True)])
+    ascent = float(np.clip(np.quantile(above, 0.93) + 0.03, *_ASCENT))
+    return size, ascent, float(np.clip(np.quantile(below, 0.97) + 0.03, *_DESCENT))
 
 
 PRINT_DPI = 300
@@ -221,4 +364,4 @@ def print_text(text: str) -> Page:
 def prepare_text(text: str) -> PreparedPage:
     """Print a text and prepare the page, with its known lines."""
     page = print_text(text)
-    return PreparedPage(page, page.grey, page.lines, False, (), page.words)
+    return PreparedPage(page, page.grey, page.lines, False, words=page.words)

@@ -6,7 +6,8 @@ import pytest
 
 from smarttouch.base.errors import PageError
 from smarttouch.pages.page_image import TextLine
-from smarttouch.pages.prepared_page import SIDES, cut_strip, prepare_page, prepare_text, print_text
+from smarttouch.pages.prepared_page import prepare_page, prepare_text, print_text
+from smarttouch.pages.straighten import SIDES, cut_strip
 
 from ..support.checks import raises
 from .printed import degrade, print_page, some_lines

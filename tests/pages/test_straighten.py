@@ -6,8 +6,8 @@ import pytest
 from skimage import data
 
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.prepared_page import find_sheet, prepare_page
-from smarttouch.pages.text_lines import find_lines
+from smarttouch.pages.prepared_page import find_lines, prepare_page
+from smarttouch.pages.straighten import find_sheet
 
 from ..support.checks import numbers_in
 from .printed import TABLE, degrade, print_page, some_lines

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from skimage import data
 
 from smarttouch.pages.page_image import Page, TextLine
-from smarttouch.pages.prepared_page import prepare_page
-from smarttouch.pages.text_lines import find_lines
+from smarttouch.pages.prepared_page import find_lines, prepare_page
 
 from .printed import Printed, degrade, print_page, some_lines
 
@@ -209,6 +208,28 @@ def test_columns_parted_by_a_rule_are_read_one_after_the_other():
         for k, line in enumerate(page.lines)
     ]
     assert_found(Printed(Page(grey, 1 / per_mm), tuple(lines)), find_lines(Page(grey, 1 / per_mm)))
+
+
+def test_columns_stay_apart_beside_short_paragraphs():
+    page = print_page(some_lines(40, 34), size_pt=10, dpi=150, columns=2)
+    grey, per_mm = page.page.grey.copy(), 1 / page.page.mm_per_pixel
+    erased = [*range(25, 28), *range(31, 34)]  # rows of the right column
+    for k in erased:
+        x, y = (page.lines[k].baseline_mm[0] * per_mm).astype(int)
+        grey[y - 18 : y + 8, x - 5 :] = grey[0, 0]
+    lines = tuple(line for k, line in enumerate(page.lines) if k not in erased)
+    both = Printed(Page(grey, 1 / per_mm), lines)
+    assert_found(both, find_lines(both.page))
+
+
+def test_the_lower_part_of_a_broken_letter_is_not_a_line():
+    words = ["waiting, 218 and 219", "against, 29"]
+    page = print_page(words, size_pt=11, dpi=170, font="STIXGeneral")
+    grey = page.page.grey.copy()
+    for line in page.lines:
+        y_mm = line.baseline_mm[0, 1] - 0.36 * line.x_height_mm
+        grey[round(y_mm / page.page.mm_per_pixel)] = grey[0, 0]
+    assert len(find_lines(Page(grey, page.page.mm_per_pixel))) == 2
 
 
 @pytest.mark.parametrize("x_height_px", [3.0, 4.0])
