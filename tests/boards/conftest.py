@@ -273,7 +273,8 @@ class Hosted:
                 self.board.send(sequence, times)
             except BoardRestartedError as error:
                 self.step = 0
-                if not isinstance(error, SequenceLateError):
+                # A watchdog restarts its board where this computer has paused the program.
+                if not isinstance(error, SequenceLateError) and "was paused" not in str(error):
                     raise
             else:
                 break
