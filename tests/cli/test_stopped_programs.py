@@ -118,6 +118,7 @@ def test_a_stop_at_any_instant_reaches_every_program(start, start_program, runs)
         for process, _ in programs:
             attempts, _ = told(process)
             refused = {"BoardStoppedError", "BoardClosedError", "BoardError"}
-            assert set(attempts.values()) <= {"done", *refused}
+            # Before the stop a busy computer may end an attempt by itself.
+            assert set(attempts.values()) <= {"done", "SequenceLateError", *refused}
             assert attempts["another"] == attempts["another run"] == "BoardStoppedError"
         assert [read_state(books)["slots"] for _, books in programs] == slots
