@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.base.errors import BoardError
+from smarttouch.base.errors import BoardError, SafetyError
 from smarttouch.boards.impedance import judge, measure_by_probes
 from smarttouch.boards.kits import BAND, NOMINAL_UA, measured_scale
 from smarttouch.boards.open import make_board
@@ -215,7 +215,13 @@ def test_an_emulated_board_of_weighted_outputs(start_emulator):
     _, port = start_emulator("event=0 open 7", "event=0 open 40", electrodes=64)
     profile = load_profile("electric-mouse")
     with make_board(f"link:{port}", SafetyLimits.of(profile), profile.output) as board:
+        limits = SafetyLimits.of(profile)
+        board.send(one_each(limits, 0, 200, 0.0, 10**10, cathodic=True, period_us=20_000))
         found = board.measure()
+        # Its scans have opened no level for what comes next.
+        weak = one_each(limits, 300, 200, 0.2, 0, cathodic=True, sites=[3], period_us=20_000)
+        with raises(SafetyError, limit="ramp_s", allowed=0):
+            board.send(weak)
         assert board.report().violations == 0
     assert found.broken == (7, 40)
     good = np.delete(found.kohm, [7, 40])
