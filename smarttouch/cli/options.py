@@ -160,8 +160,8 @@ class RunOptions(OptionGroup):
         list[str] | None,
         option(
             "Change a setting: rate_hz=HZ, scan=points, hold=charge|energy, softness=0..1, "
-            "balance, light_on_dark, seed=N, note=WORDS, finger=[ANATOMY:]SEED, vibrators=WAV, "
-            "paced=no (as fast as possible).",
+            "balance, light_on_dark, line_cue, seed=N, note=WORDS, finger=[ANATOMY:]SEED, "
+            "vibrators=WAV, paced=no (as fast as possible).",
             "NAME=VALUE",
             "--set",
         ),

@@ -98,7 +98,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
     center = electrodes.position_mm / optics.magnification
     x = center[:, 0, None] + dx.ravel()
     y = center[:, 1, None] + dy.ravel()
-    across_frame, down_frame = _on_frame(x, y, optics)
+    across_frame, down_frame = on_frame(x, y, optics)
     column, row = np.floor(across_frame * columns), np.floor(down_frame * rows)
     # Samples outside of the field of view count as paper.
     seen = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
@@ -116,7 +116,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
     return Apertures(pixels, shares)
 
 
-def _on_frame(
+def on_frame(
     x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], optics: Optics
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return places on the page relative to the sides of a frame; NaN behind a tilted camera."""
@@ -145,9 +145,9 @@ def _field_mm(
         return optics.field_width_mm, optics.field_height_mm
     x_mm, y_mm = electrodes.position_mm.T / optics.magnification
     step_mm = min(electrodes.cell_mm) / optics.magnification / 100
-    middle = np.array(_on_frame(x_mm, y_mm, optics))
-    right = np.array(_on_frame(x_mm + step_mm, y_mm, optics)) - middle
-    down = np.array(_on_frame(x_mm, y_mm + step_mm, optics)) - middle
+    middle = np.array(on_frame(x_mm, y_mm, optics))
+    right = np.array(on_frame(x_mm + step_mm, y_mm, optics)) - middle
+    down = np.array(on_frame(x_mm, y_mm + step_mm, optics)) - middle
     # Frame sides per millimeter, along rows and along columns.
     parts = np.hypot(right, down) / step_mm
     chosen = parts.max(axis=1) if finest else parts.min(axis=1)

@@ -169,7 +169,7 @@ class TactileMapper:
         else:
             inked = self._binarizer.ink(reduced, frame.time_ns, touching)
         # Add row by row, so that results are bitwise equal on all machines.
-        pixel, share = registration.apertures
+        pixel, share, self._inked = *registration.apertures, inked
         ink: NDArray[np.float32] = np.add.reduce(inked.reshape(-1).take(pixel) * share, axis=0)
         activation = np.zeros((len(Afferent), len(ink)), np.float32)
         if self._tone.fullest > self._tone.faintest:

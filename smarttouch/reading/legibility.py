@@ -91,6 +91,7 @@ class LineDelivery:
     mode: Mode = Mode.RA
     sharing: SlotPolicy = NO_SHARING
     intensity: float = 1.0  # in [0, 1], relative to full current
+    line_cue: bool = False  # see `RunConfig`
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +127,9 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
             meant[sent.number] = np.asarray(sent.step.tactile.activation.any(axis=0))
 
     config = RunConfig(
-        mode=reading.mode, tone=reading.tone, scan=reading.sharing, intensity=reading.intensity
-    )
+        mode=reading.mode, tone=reading.tone, scan=reading.sharing, intensity=reading.intensity,
+        line_cue=reading.line_cue,
+    )  # fmt: skip
     with Display("simulated:", profile) as display:
         Runner(
             source, display, config, listeners=[watch], load_kernels=lambda _: reading.bank

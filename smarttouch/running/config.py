@@ -48,6 +48,8 @@ class RunConfig(Table):
         Whether print is lighter than paper.
     tone : Tone, optional
         Tone curve from ink to activation.
+    line_cue : bool
+        Whether the array's first or last row shows that the line of print is above or below.
     hold : {"charge", "energy"}, optional
         Quantity to keep constant while impedance drifts, if the board can.
     balance : bool
@@ -82,6 +84,7 @@ class RunConfig(Table):
     softness: float | None = None
     light_on_dark: bool = False
     tone: Tone | None = None
+    line_cue: bool = False
     hold: Hold | None = None
     balance: bool = False
     paced: bool = False

@@ -18,6 +18,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.step import Measured, Step
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
 from smarttouch.stimulation.adaptation import RESERVED, Adaptation
+from smarttouch.stimulation.line_cue import LineCueMapper
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_recharge
 from smarttouch.stimulation.safety_gate import Ramp
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
@@ -108,7 +109,8 @@ class Pipeline:
         self._profile, self._bank, self._config = profile, bank, config
         self._timing, self._vibrated = timing, vibrated
         self.electrodes: int = len(profile.electrodes)
-        self._mapper = TactileMapper(profile, config.light_on_dark, config.tone)
+        self._make_mapper = LineCueMapper if config.line_cue else TactileMapper
+        self._mapper = self._make_mapper(profile, config.light_on_dark, config.tone)
         self._limits = SafetyLimits.of(profile)
         self.ramp: Ramp = Ramp(self._limits.ramp_ns)
         """Ramp for pipelines without a board; sequences count as written at their times."""
@@ -250,7 +252,8 @@ class Pipeline:
         First calls import and allocate, which would delay a pulse in the loop.
         """
         twin = copy.copy(self)
-        twin._mapper = TactileMapper(self._profile, self._config.light_on_dark, self._config.tone)
+        config = self._config
+        twin._mapper = self._make_mapper(self._profile, config.light_on_dark, config.tone)
         twin.ramp = Ramp(self._limits.ramp_ns)
         # Makers of shared slots can be reused, as they have no state.
         twin._scans, twin._common = {}, replace(self._common, net=None)

@@ -1,0 +1,74 @@
+"""Cue on the border electrodes that leads a finger back to its line of print."""
+
+import numpy as np
+
+from smarttouch.base.afferent import Mode
+from smarttouch.base.errors import ScheduleError
+from smarttouch.base.tactile_image import TactileImage
+from smarttouch.imaging.registration import on_frame
+from smarttouch.imaging.tactile_mapper import TactileMapper
+from smarttouch.sources.source_contract import Frame
+
+_ANGLES_DEG = np.arange(-10, 10.1, 2.5)  # angles of lines that are tried
+_SAMPLES = 32  # rows and columns of the turned ink
+
+
+class LineCueMapper(TactileMapper):
+    """Mapper whose result shows on the array's first or last row where the line of print is.
+
+    The first row says up, the last row down, and neither while the middle of small letters is
+    within a quarter of the line's height. Raises ScheduleError for fewer than three rows.
+    """
+
+    line: tuple[float, float, float] | None = None
+    """Nearest line in the latest frame, if any: baseline, mm down the page from the array's middle,
+    x-height, mm, and angle to the array's rows, degrees clockwise."""
+
+    def _prepare(self, shape: tuple[int, int]) -> None:
+        super()._prepare(shape)
+        profile = self._profile
+        electrodes, optics, driven = profile.electrodes, profile.optics, profile.driven
+        y_mm = electrodes.position_mm[driven, 1].round(3)
+        if len(rows := np.unique(y_mm)) < 3:
+            raise ScheduleError(f"line_cue needs three rows: {profile.name} has {len(rows)}")
+        self._border = driven[y_mm == rows[0]], driven[y_mm == rows[-1]]
+        width_mm, height_mm = (side / optics.magnification for side in electrodes.extent_mm)
+        middles = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+        x, y = np.meshgrid(middles * width_mm, middles * height_mm)
+        turn = np.radians(_ANGLES_DEG)[:, None, None]
+        cos, sin = np.cos(turn), np.sin(turn)
+        places = on_frame(x * cos - y * sin, x * sin + y * cos, optics)
+        height, width = self._registration.working_shape
+        column, row = (np.nan_to_num(place).clip(0, 1 - 1e-9) for place in places)
+        self._pixel = (row * height).astype(np.intp) * width + (column * width).astype(np.intp)
+        self._step_mm = height_mm / _SAMPLES
+        self._x_rows = 0.4 * _SAMPLES  # mean x-height
+
+    def map(self, frame: Frame, mode: Mode) -> TactileImage:
+        tactile = super().map(frame, mode)
+        self._find_line()
+        if self.line is not None:
+            baseline_mm, x_mm, _ = self.line
+            # A line is twice as high as its small letters.
+            if abs(off_mm := baseline_mm - x_mm / 2) > x_mm / 2:
+                tactile.activation[mode.afferents[0], self._border[off_mm > 0]] = 1
+        return tactile
+
+    def _find_line(self) -> None:
+        """Find the line nearest to the array's middle: dark rows of the ink, turned so that its
+        rows differ most."""
+        turned = self._inked.reshape(-1).take(self._pixel).mean(axis=2, dtype=np.float32) / 255
+        steepest = int(np.square(np.diff(turned)).sum(axis=1).argmax())
+        smooth = np.convolve(turned[steepest], (1 / 3, 1 / 3, 1 / 3), "same")
+        dark = smooth > max(0.05, 0.5 * np.partition(smooth, -4)[-4])
+        lines: list[tuple[float, float, float]] = []
+        edges = np.flatnonzero(np.diff(dark, prepend=False, append=False)).tolist()
+        for first, end in zip(edges[::2], edges[1::2], strict=True):
+            if first > 0 and _SAMPLES > end > first + _SAMPLES / 5:
+                self._x_rows += 0.1 * (end - first - self._x_rows)
+            # A line that is cut by the lower edge has its baseline below it.
+            base = end if end < _SAMPLES else first + max(self._x_rows, end - first)
+            if 1 < end - first < _SAMPLES:
+                line_mm = np.array([base - _SAMPLES / 2, self._x_rows]) * self._step_mm
+                lines.append((*line_mm.tolist(), float(_ANGLES_DEG[steepest])))
+        self.line = min(lines, key=lambda line: abs(line[0] - line[1] / 2), default=None)
