@@ -121,6 +121,9 @@ def show(
         Path | None, option("Also write the array as a KiCad board into this folder.", "DIR")
     ] = None,
     svg: Annotated[Path | None, output_file("Also draw the array in true size.", "SVG")] = None,
+    levels: Annotated[
+        Path | None, output_file("Also draw the comfortable current over time.", "PNG")
+    ] = None,
     fan_out: Annotated[
         bool, option("Change output.wiring so that no tracks cross.", None, "--fan-out")
     ] = False,
@@ -139,6 +142,14 @@ def show(
         write_bytes(svg, circuit_board.drawing(chosen))
     if kicad is not None:
         circuit_board.write_kicad(chosen, kicad)
+    if levels is not None:
+        from smarttouch.physiology.settled_levels import plot_levels
+        from smarttouch.views.figure_style import new_figure, plain, save
+
+        figure = new_figure(6, 3)
+        plain(axes := figure.subplots(), chosen.name, "time, UTC", "comfortable current, mA")
+        plot_levels(axes, chosen)
+        save(figure, levels)
     typer.echo(as_toml(chosen), nl=False)
 
 

@@ -6,22 +6,23 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from smarttouch.base.afferent import Mode
+from smarttouch.base.events import Advice
 from smarttouch.base.files import write_json
 from smarttouch.base.stopping import StopRequest
 from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.physiology.settled_levels import SettledLevels
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.loop import STEP, Controls, ControlState
 from smarttouch.running.runner import MakeControls, Runner
-from smarttouch.running.step import Listener, RunContext
+from smarttouch.running.step import Listener, RunContext, StepResult
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source
 from smarttouch.views.keys_and_signals import (
@@ -64,13 +65,14 @@ def run_in_terminal(
     draws: bool = False,
 ) -> None:
     """Run a source on a display until it ends or the user ends it, and print a summary. Arguments
-    are as for `Runner`. ``keys`` maps additional keys to functions, and ``keys_help`` describes
-    them on the screen. ``json_file`` receives the figures of the run; ``files`` are all files that
-    it writes. A run that ``draws`` gets more time to finish. A window stays open until its pages
-    are closed."""
-    stop = command_stop()
-    shown = screen(display.url, keys_help, plain, partial(_keys_of, stop, keys or {}))
-    typed = sys.stdin.isatty()
+    are as for `Runner`. ``keys`` maps more keys to functions, ``keys_help`` describes them.
+    ``json_file`` receives the figures of the run; ``files`` are all files that it writes. A run
+    that ``draws`` gets more time to finish. A window stays while pages are open."""
+    stop, typed = command_stop(), sys.stdin.isatty()
+    asks = display.on_a_finger and (typed or window) and (screen, controls) == (Screen, Controls)
+    operation = _Operation(draws, asks)
+    keys, keys_help = {**operation.keys, **(keys or {})}, keys_help + "L last level    " * asks
+    shown = screen(display.url, keys_help, plain, partial(_keys_of, stop, keys))
     with contextlib.ExitStack() as closing:
         page = None
         if window:
@@ -89,8 +91,7 @@ def run_in_terminal(
                 *([] if page is None else [page]),  # before the screen, as it prints its address
                 shown,
                 *listeners,
-                # Before this point no board is open, and a signal ends the program at once.
-                _Within(lambda _run: ending_in_order(DRAWN_WITHIN_S if draws else None)),
+                operation,
             ],
             stop=stop,
             load_kernels=_load_kernels,
@@ -143,15 +144,35 @@ def _load_kernels(profile: Profile) -> KernelBank:
         return load_bank(profile, progress)
 
 
-class _Within(Listener):
-    """Enters a context before a run and leaves it at the end."""
+class _Operation(Listener):
+    """Ends a run in order from `prepare` on; if it ``asks``, offers levels and logs those kept."""
 
-    def __init__(self, entered: Callable[[RunContext], AbstractContextManager[None]]) -> None:
+    def __init__(self, draws: bool, asks: bool) -> None:
         super().__init__()
-        self._entered, self._stack = entered, contextlib.ExitStack()
+        self._draws, self._stack = draws, contextlib.ExitStack()
+        self._levels: SettledLevels | None = None
+        self.keys: dict[str, Callable[[], None]] = dict.fromkeys("Ll", self._rise) if asks else {}
 
     def prepare(self, run: RunContext) -> None:
-        self._stack.enter_context(self._entered(run))
+        self._run = run
+        self._stack.enter_context(ending_in_order(DRAWN_WITHIN_S if self._draws else None))
+        if self.keys:
+            self._levels = SettledLevels(run.profile, run.controls.most)
+            self._stack.callback(self._levels.save)
+
+    def step(self, result: StepResult) -> None:
+        if self._levels is None:
+            return
+        step, (at_ns, force_n) = result.step, (result.input.time_ns, result.input.force_n)
+        if words := self._levels.note(at_ns, str(step.mode), step.level, force_n, step.observed):
+            self._run.source.emit(Advice(at_ns, words))
+
+    def _rise(self) -> None:
+        """Ask for the last comfortable level of the mode; the ramp leads to it."""
+        # A key may come before the run is prepared.
+        if self._levels is not None:
+            controls, state = self._run.controls, self._run.controls.state(0)
+            controls.set_level(self._levels.offered.get(str(state.mode), state.level))
 
     def close(self) -> None:
         self._stack.close()

@@ -5,10 +5,14 @@ import json
 import os
 import select
 import subprocess
+import time
 
+import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Mode
+from smarttouch.physiology.settled_levels import levels_file
+from smarttouch.profile import load_profile
 from smarttouch.running.recording import RecordedRun
 
 from ..boards.fresh import until
@@ -53,6 +57,35 @@ def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
         "intensity 0.10", "mode RA", "intensity 0.15", "intensity 0.20", "intensity 0.15", "paused",
         "goes on", "mode SAI", "intensity 0.00", "key q",
     ]  # fmt: skip
+
+
+def test_the_last_comfortable_level_is_reached_by_a_key(
+    start_at_a_terminal, start_emulator, tmp_path
+):
+    """On a finger a run begins at zero and offers the level; the ramp leads to it."""
+    _, port, _ = start_emulator()
+    log = levels_file(profile := load_profile("electric-mouse"))
+    log.parent.mkdir(parents=True)
+    log.write_text(
+        json.dumps({"mode": "RA", "current_ma": 0.45 * float(profile.full_ma.max())}) + "\n"
+    )
+    board = ("--board", f"link:{port}", "--force", "fixed:1", "--intensity", "0.6")
+    process, keys = start_at_a_terminal(*RUN, *board)
+    wait_for(process, "intensity 0.00")
+    wait_for_the_run(process)
+    os.write(keys, b"L")
+    wait_for(process, "intensity 0.45")
+    time.sleep(2)
+    os.write(keys, b"q")
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert "last time 0.45 was comfortable in mode RA: press L to rise to it" in err
+    steps = [recorded.step for recorded in RecordedRun(tmp_path / "run.mcap").steps()]
+    flowing = [step.sequence.intensity for step in steps]
+    assert flowing[0] == 0
+    # On a busy machine late sequences let it begin at zero again.
+    assert 0.1 < max(flowing) <= 0.45
+    assert np.diff(flowing).max() < 0.1
 
 
 @pytest.mark.parametrize("end", ["Esc", "terminal"])

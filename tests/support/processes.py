@@ -22,8 +22,6 @@ from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
-from smarttouch.base.posix import prioritized
-
 PROGRAM = Path(sys.executable).with_name("smarttouch")
 EMULATOR = [sys.executable, "-m", "smarttouch.emulator"]
 _SUBREAPER = 36
@@ -103,11 +101,6 @@ def forked_boards():
     return SimpleNamespace(**vars(subprocess) | {"Popen": Forked})
 
 
-def _has_priority():
-    known = getattr(os, "sched_getscheduler", None)
-    return known is not None and known(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
-
-
 def _adopt(wanted):
     ctypes.CDLL(None).prctl(_SUBREAPER, int(wanted), 0, 0, 0)
 
@@ -134,8 +127,6 @@ class Forked(subprocess.Popen):
             return
         request = {
             "module": module,
-            # A test of time that passes has it, and its board needs it as well.
-            "prioritized": command[:3] == EMULATOR and _has_priority(),
             "arguments": arguments,
             "environment": dict(os.environ if asked["env"] is None else asked["env"]),
             "folder": os.fspath(asked["cwd"] or Path.cwd()),
@@ -192,8 +183,7 @@ def _serve(channel):
 def _main_of(request):
     """Return what a request is to run: a module's main, or a script as the interpreter would."""
     if request["module"] is not None:
-        main = import_module(request["module"]).main
-        return prioritized()(main) if request["prioritized"] else main
+        return import_module(request["module"]).main
     path = Path(request["arguments"][0]).resolve()
     sys.path.insert(0, str(path.parent))
     return lambda: runpy.run_path(str(path), run_name="__main__")

@@ -298,19 +298,6 @@ def test_what_the_board_refused_before_is_not_of_this_run(world, board):
     assert world.refused() == 3
 
 
-def test_a_board_that_was_switched_off_counts_from_its_return(world, board):
-    send(board, 3)
-    board.close()
-    board.open()
-    send(board, 2)
-    assert board.report().slots == 2
-    for count in ("sequences", "slots", "pulses"):
-        setattr(world.books, count, 0)
-    board._recover(board._line.lost("is gone"))
-    send(board)
-    assert board.report().slots == 1
-
-
 def test_a_board_of_another_version_is_reported_in_a_sentence(world, monkeypatch):
     def old_board(data, now_ns):
         return frame_packet(2, MessageKind.CAPABILITIES, 0, bytes(14)) if b"\x01" in data else b""
