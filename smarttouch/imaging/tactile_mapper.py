@@ -21,6 +21,7 @@ BLURRED = 0.3  # contrast at which blurred ink begins, at most 0.6 of its own co
 GREY_GUARD = 0.41  # share of pixels between paper and ink above which a frame is noise
 BLACK = 0.2  # level, relative to white, below which wide areas are print, not a dark table
 WHITE_DECAY_PER_S = 0.3  # rate at which the white level falls: slow enough for a black headline
+_CLASSES, _ROWS = len(Afferent), {mode: mode.afferents[0] for mode in Mode}
 _SAMPLES = 32  # rows and columns of the sample from which levels are estimated
 
 
@@ -48,19 +49,19 @@ class Binarizer:
         While the finger is lifted, the white level is that of the frame.
         """
         image = ~image if self._light_on_dark else image
-        sample = cv2.blur(image, (3, 3))[self._sample]
+        sample = np.ascontiguousarray(cv2.blur(image, (3, 3))[self._sample])
         elapsed_s, self._time_ns = max(0, time_ns - self._time_ns) / 1e9, time_ns
         floor = self._white * math.exp(-WHITE_DECAY_PER_S * elapsed_s) if touching else 0.0
-        paper = cv2.morphologyEx(np.ascontiguousarray(sample), cv2.MORPH_CLOSE, self._window)
-        bright = np.sort(sample, axis=None)[int(0.95 * sample.size)]
+        paper = cv2.morphologyEx(sample, cv2.MORPH_CLOSE, self._window)
+        bright = np.bincount(sample.ravel()).cumsum().searchsorted(0.95 * sample.size, "right")
         white = self._white = max(float(bright), floor)
         paper[paper < BLACK * white] = round(white)
         depth = cv2.subtract(paper, sample)
-        depths = np.sort(depth, axis=None)
-        grain, deep = depths[[int(0.3 * depth.size), int(0.98 * depth.size)]].tolist()
-        low, high = depths.searchsorted([round(0.3 * deep), round(0.7 * deep)]).tolist()
+        pixels, places = np.bincount(depth.ravel()), (0.3 * depth.size, 0.98 * depth.size)
+        grain, deep = pixels.cumsum().searchsorted(places, "right").tolist()
+        grey = int(np.add.reduce(pixels[round(0.3 * deep) : round(0.7 * deep)]))
         is_grain = deep < min(LEAST_GRAINS * grain, PALE * white)
-        if deep < LEAST_CONTRAST * white or is_grain or high - low > GREY_GUARD * depth.size:
+        if deep < LEAST_CONTRAST * white or is_grain or grey > GREY_GUARD * depth.size:
             return np.zeros_like(image)
         limit = max(0.5 * deep, min(BLURRED * white, 0.6 * deep))
         below = cv2.subtract(cv2.resize(paper, image.shape[::-1]), image)
@@ -131,8 +132,7 @@ class TactileMapper:
     def __init__(
         self, profile: Profile, light_on_dark: bool = False, tone: Tone | None = None
     ) -> None:
-        self._profile = profile
-        self._light_on_dark = light_on_dark
+        self._profile, self._light_on_dark = profile, light_on_dark
         self._tone = tone = tone or Tone()
         # On a few numbers, arrays are quicker than plain numbers, and than np.clip.
         self._faintest = np.array(tone.faintest, np.float32)
@@ -171,7 +171,7 @@ class TactileMapper:
         # Add row by row, so that results are bitwise equal on all machines.
         pixel, share, self._inked = *registration.apertures, inked
         ink: NDArray[np.float32] = np.add.reduce(inked.reshape(-1).take(pixel) * share, axis=0)
-        activation = np.zeros((len(Afferent), len(ink)), np.float32)
+        activation = np.zeros((_CLASSES, len(ink)), np.float32)
         if self._tone.fullest > self._tone.faintest:
             ink -= self._faintest
             ink *= self._steepness
@@ -184,5 +184,5 @@ class TactileMapper:
             self._natural.drive(activation, ink, frame.time_ns, touching)
         else:
             self._natural.last_ns = None
-            activation[Afferent[mode.name]] = ink
+            activation[_ROWS[mode]] = ink
         return TactileImage(activation, frame.time_ns, frame.force_n, frame.period_us)
