@@ -372,7 +372,7 @@ class Board:
                 f"due_ns is {(due_ns - now_ns) / 1e9:.3g} s from now, and at most "
                 f"{FARTHEST_NS / 1e9:g} s are possible: give a time by board.clock.now_ns()"
             )
-        if isinstance(times, int | np.integer) and times > LONGEST_REPEAT:
+        if isinstance(times, (int, np.integer)) and times > LONGEST_REPEAT:
             raise BoardError(f"{times} repetitions are not possible: at most {LONGEST_REPEAT}")
         if sequence.recharge_ua is not None and not can.recharges:
             raise BoardError("this board cannot make a recharge phase: send sequences without one")

@@ -115,12 +115,14 @@ class Ramp:
             risen_ppb = self._claimed_ppb + step_ns * PPB // self._ramp_ns
             return min(PPB, risen_ppb, open_ppb + AHEAD_NS * PPB // self._ramp_ns) / PPB
 
-    def permits(self, strength_ppb: int, claimed_ns: int) -> bool:
-        """Return whether a sequence of this strength may begin now; `LATE_NS` may be caught up."""
+    def permits(self, strength_ppb: int, claimed_ns: int, open_ppb: int | None = None) -> bool:
+        """Return whether a sequence of this strength may begin now; `LATE_NS` may be caught up.
+        ``open_ppb`` is the level from `open_at`, if known."""
         with self.lock:
             most_ppb = LEEWAY_PPB
             if self._begun:
-                most_ppb += self.open_at(claimed_ns)[1] + self._late_ppb
+                level_ppb = self.open_at(claimed_ns)[1] if open_ppb is None else open_ppb
+                most_ppb += level_ppb + self._late_ppb
             return strength_ppb <= most_ppb
 
     def note(self, ppb: int, strength_ppb: int, claimed_ns: int, lasting_ns: int) -> None:
@@ -266,9 +268,8 @@ class SafetyGate:
             time_ns, strength_ppb = sequence.time_ns, load.strength_ppb
             if self._time_ns is not None and time_ns <= self._time_ns:
                 raise refusal("order", time_ns, self._time_ns + 1)
-            permitted = not strength_ppb or self.ramp.permits(strength_ppb, time_ns)
             now_ns, open_ppb = self.ramp.open_at(time_ns)
-            if not permitted:
+            if strength_ppb and not self.ramp.permits(strength_ppb, time_ns, open_ppb):
                 raise refusal("ramp_s", strength_ppb / PPB, open_ppb / PPB)
             flows = len(sequence.width_us) > 0
             self._exposure.enter(now_ns, sequence.period_us, times, load, flows)

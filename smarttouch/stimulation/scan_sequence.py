@@ -130,7 +130,7 @@ class KernelLists:
         current_ua[:, 1:] -= rounded[:, :-1]
         vars(self).update(
             first=first, kernel=kernel, amplitude=amplitude,
-            site=self.table.site[kernel[first[:-1]]],
+            site=self.table.site.take(kernel.take(first[:-1])),
             current_ua=np.frombuffer(current_ua.tobytes(), np.int16).reshape(current_ua.shape),
         )  # fmt: skip
 

@@ -197,7 +197,7 @@ class NetPlan:
             self._at_most_pc -= gone_pc
             self._sum_pc -= gone_net_pc
             self._newest_at_most_pc = min(self._newest_at_most_pc, self._at_most_pc)
-        most_pc = float(np.abs(net_pc).max())
+        most_pc = float(np.maximum.reduce(np.abs(net_pc)))
         if self._newest_at_most_pc + most_pc > GUARD_PC:
             newest_pc = float(self._newest(net_pc).max())
             self._newest_at_most_pc = newest_pc + most_pc
@@ -208,7 +208,7 @@ class NetPlan:
         self._newest_at_most_pc += most_pc
         self._sum_pc += net_pc
         count, needed_us = len(passes), float(period_us)
-        carried_pc = float(np.abs(self._sum_pc).max())
+        carried_pc = float(np.maximum.reduce(np.abs(self._sum_pc)))
         span_us = min(time_us + period_us - passes[0].end_us, WINDOW_US)
         # Do not slow short trains, nor trains with pauses.
         if carried_pc > _FREE_PC and carried_pc * WINDOW_US > _MEAN_PC * span_us:
@@ -333,12 +333,13 @@ class ScanScheduler:
         parts = self._slots(due, image.activation, intensity, adaptation)
         if intensity > allowed:
             parts, intensity = self._within_ramp(parts, due, image, intensity, allowed, adaptation)
-        slots, pulses_us = len(parts.site), int(parts.width_us.sum(dtype=np.int64))
+        slots, pulses_us = len(parts.site), sum(parts.width_us.tolist())
         least_us, mean_us = max(self.asked_us, pulses_us / self._duty), 0.0
         if slots:
             sums = add_up(parts.current_ua, parts.width_us, self._limits.felt_ua)[0]
             # the shortest period allowed by the limits of pulses and charge
-            exposed_us = math.ceil(float(sums[:2].max()) / (PLANNED * MOST_PER_US))
+            largest = float(np.maximum.reduce(sums[:2], axis=None))
+            exposed_us = math.ceil(largest / (PLANNED * MOST_PER_US))
             if exposed_us > BURST_US:
                 raise _overexposed(exposed_us)
             least_us, mean_us = max(least_us, exposed_us), pulses_us / slots

@@ -56,9 +56,12 @@ def add_up(
     S > 0; widths are (S,). Pulses from ``felt_ua``, (E,), are perceptible.
     """
     currents, widths = current_ua.astype(np.float64), width_us.astype(np.float64)
-    magnitudes = np.abs(currents)
-    felt = PER_PULSE * np.count_nonzero(magnitudes >= felt_ua, axis=0)
-    sums = np.stack([felt, PER_PC * (widths @ magnitudes), widths @ currents])
+    magnitudes, sums = np.abs(currents), np.empty((3, currents.shape[1]))
+    np.add.reduce(magnitudes >= felt_ua, axis=0, out=sums[0])
+    np.matmul(widths, magnitudes, out=sums[1])
+    np.matmul(widths, currents, out=sums[2])
+    sums[0] *= PER_PULSE
+    sums[1] *= PER_PC
     return sums, currents, magnitudes
 
 
@@ -89,24 +92,24 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
 
     Raises SafetyError with the limit, slot, electrode and values.
     """
-    width_us, busy_us = sequence.width_us, _prove_numbers(sequence, limits)
+    width_us, (busy_us, narrow_us, wide_us) = sequence.width_us, _prove_numbers(sequence, limits)
     if not busy_us:
         return PassLoad(np.zeros((3, limits.electrodes)), None, 0, 0, 0)
     sums, current_ua, magnitude_ua = add_up(sequence.current_ua, width_us, limits.felt_ua)
-    net_ua, total_ua = current_ua.sum(axis=1), magnitude_ua.sum(axis=1)
+    net_ua, total_ua = np.add.reduce(current_ua, axis=1), np.add.reduce(magnitude_ua, axis=1)
     if net_ua.any():
         slot = int(np.abs(net_ua).argmax())
         raise refusal("balance", int(net_ua[slot]), 0, slot)
-    highest_ua, widest_us = magnitude_ua.max(axis=0), int(width_us.max())
+    highest_ua = np.maximum.reduce(magnitude_ua, axis=0)
     if (highest_ua > limits.current_ua).any():
         _prove_each("current_ma", magnitude_ua, limits.current_ua, 1000)
     # Balanced: cathodes carry half of the sum of magnitudes.
-    if total_ua.max() > 2 * limits.total_ua:
+    if np.maximum.reduce(total_ua) > 2 * limits.total_ua:
         slot = int(total_ua.argmax())
         raise refusal("total_ma", total_ua[slot] / 2000, limits.total_ma, slot)
-    peak_ua = int(highest_ua.max())
-    peak_pc = peak_ua * widest_us
-    if (highest_ua * widest_us > limits.charge_pc).any() or int(width_us.min()) < widest_us:
+    peak_ua = int(np.maximum.reduce(highest_ua))
+    peak_pc = peak_ua * wide_us
+    if (highest_ua * wide_us > limits.charge_pc).any() or narrow_us < wide_us:
         charge_pc = magnitude_ua * width_us.astype(np.float64)[:, None]
         _prove_each("charge_uc", charge_pc, limits.charge_pc, 1_000_000)
         peak_pc = int(charge_pc.max())
@@ -127,8 +130,8 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
     return PassLoad(sums, recharge_pc, busy_us, strength_ppb(limits, ppb, peak_pc), peak_ua)
 
 
-def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> int:
-    """Return the duration of slots and recharge phase, µs.
+def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int, int]:
+    """Return the duration of slots and recharge phase, and the smallest and largest width, µs.
 
     Raises SafetyError unless numbers, times and lengths are within their ranges.
     """
@@ -161,7 +164,7 @@ def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> int:
     if least_rest_us < LEAST_DISCHARGE_US:
         slot = rests_us.index(least_rest_us)
         raise refusal("discharge_us", least_rest_us, LEAST_DISCHARGE_US, slot)
-    return int(busy_us)
+    return busy_us, narrow_us, wide_us
 
 
 def _prove_vibration(vibration: NDArray[np.float32], intensity: float, electrodes: int) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from functools import lru_cache
-from itertools import chain
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -129,7 +129,7 @@ class FrameSlots:
         # At the lower aim the faintest points would not be felt.
         level = (self._range * asked + self._faintest) * (asked > 0) / self._aim
         level = np.minimum(level, 1.0, out=level)
-        kernel, points = self._shared(level) if intensity >= self.certain_from else (_NONE, _NONE)
+        kernel, points = self._shared(level) if intensity >= self.certain_from else (_NONE, [])
         sites = self._sites.take(kernel)
         wanted = level.take(sites)
         level[sites] = 0
@@ -137,9 +137,8 @@ class FrameSlots:
         alone_level = level.take(alone)
         scale = np.concatenate([self._aim * wanted, alone_level])
         shared, count = len(points), len(points) + len(alone)
-        points = np.concatenate([points, np.ones(len(alone), np.intp)])
-        first = np.zeros(count + 1, np.intp)
-        points.cumsum(out=first[1:])
+        points += [1] * len(alone)
+        first = np.array([0, *accumulate(points)], np.intp)
         kernel = np.concatenate([kernel, len(self._sites) + alone])
         sums = None
         if self._table is not None:
@@ -157,24 +156,23 @@ class FrameSlots:
         owner = self._owner.take(kernel.take(first[:shared]))
         do[:, :shared] = self._figures(intensity).take(owner, axis=1)
         # Scale the figures of faint points to level 1.
-        np.multiply(self._points_do[:, alone], alone_level, out=do[:, shared:])
+        np.multiply(self._points_do.take(alone, axis=1), alone_level, out=do[:, shared:])
         site = self._kernel_sites.take(kernel.take(first[:-1])).astype(np.uint16)
-        proof = SelectivityReport(points.astype(np.uint16), *do)
+        proof = SelectivityReport(np.array(points, np.uint16), *do)
         return Slots(site, current_ua, self._widths_us[:count], proof, sums)
 
-    def _shared(self, level: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def _shared(self, level: Array) -> tuple[NDArray[np.intp], list[int]]:
         """Return the kernels of shared slots, slot after slot, and the number of kernels in each
         slot. Slots are filled set by set, in order of strength, as far as total current allows."""
         wanted = level.take(self._sites)
         active = wanted.nonzero()[0]
-        totals_ma = self._aim * wanted.take(active) * self._totals_ma.take(active)
-        owners = self._owner.take(active)
-        order = np.lexsort((-totals_ma, owners))
-        columns = active.take(order), totals_ma.take(order), owners.take(order)
+        below_zero_ma = -self._aim * wanted.take(active) * self._totals_ma.take(active)
+        columns = self._owner.take(active), below_zero_ma, active
         slots: list[list[int]] = []
         sums_ma: list[float] = []
         first, before = 0, -1
-        for kernel, total_ma, owner in zip(*map(np.ndarray.tolist, columns), strict=True):
+        for owner, minus_ma, kernel in sorted(zip(*map(np.ndarray.tolist, columns), strict=True)):
+            total_ma = -minus_ma
             if owner != before:
                 first, before = len(slots), owner
             for slot in range(first, len(slots)):
@@ -185,9 +183,13 @@ class FrameSlots:
             else:
                 slots.append([kernel])
                 sums_ma.append(total_ma)
-        lengths = np.fromiter(map(len, slots), np.intp, len(slots))
-        kernels = np.fromiter(chain.from_iterable(slots), np.intp)
-        return kernels[np.repeat(lengths > 1, lengths)], lengths[lengths > 1]
+        kernels: list[int] = []
+        lengths: list[int] = []
+        for shared in slots:
+            if len(shared) > 1:
+                kernels += shared
+                lengths.append(len(shared))
+        return np.array(kernels, np.intp), lengths
 
 
 def _coarse(profile: Profile) -> Profile:
