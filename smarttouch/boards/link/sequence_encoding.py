@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import struct
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
@@ -23,6 +24,8 @@ from smarttouch.stimulation.scan_sequence import (
 
 OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
 _MOST_SHAPES, _U16_MAX = 0xFF, 0xFFFF
+_SHAPE = struct.Struct("<HH")  # width and discharge, µs
+_OF_LISTS = [np.dtype(np.intp), np.dtype(np.uint16), np.dtype(np.uint16)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,82 +108,82 @@ class _Columns(NamedTuple):
     """Slots in encoded form."""
 
     shapes: bytes  # table of pulse shapes
-    shape: NDArray[np.intp]  # (S,) index into `shapes`
-    kind: NDArray[np.intp]  # (S,) kind of group
-    first: NDArray[np.intp]  # (S + 1,) start of each slot's list in ``pairs``
-    pairs: NDArray[np.uint16]  # (N, 2) kernels and amplitudes
-    rows: NDArray[np.int16] | NDArray[np.uint8]  # site and currents, or site, source and states
+    keys: list[tuple[int, int]]  # kind and index into `shapes` of each slot
+    first: list[int]  # start of each slot's list in ``pairs``, and end of the last
+    pairs: bytes  # kernels and amplitudes
+    rows: bytes  # site and currents of each slot, or site, source and states
 
 
 def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) -> _Columns:
-    times_us = sequence.width_us.astype(np.uint32) << 16 | sequence.discharge_us
-    shapes, shape = times_us[:1], np.zeros(len(times_us), np.intp)
-    if (times_us != shapes).any():
-        shapes, shape = np.unique(times_us, return_inverse=True)
+    times_us = [*zip(sequence.width_us.tolist(), sequence.discharge_us.tolist(), strict=True)]
+    shapes = sorted(set(times_us))
     if len(shapes) > _MOST_SHAPES:
         raise BoardError(
             f"{len(shapes)} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
             "choose fewer pulse widths"
         )
-    site, current_ua = sequence.site[:, None].astype("<u2"), sequence.current_ua
-    lists = sequence.sums
-    if switched and len(sequence.site):
-        rows = _switched_rows(site, current_ua)
-    else:
-        rows = np.concatenate([site.view("<i2"), current_ua.astype("<i2", copy=False)], axis=1)
-    kind = np.full(len(sequence.site), STATES if switched else CURRENTS)
-    first, pairs = kind, np.zeros((0, 2), np.uint16)
+    lists, first, pairs, rows = sequence.sums, [0], b"", b""
+    kinds = [STATES if switched else CURRENTS] * len(times_us)
     if (
-        image is not None and not switched and len(sequence.site) and isinstance(lists, KernelLists)
+        image is not None and not switched and times_us and isinstance(lists, KernelLists)
         and lists.table is image.table
         # Other types and sizes could overflow on the wire.
-        and lists.first.dtype == np.intp
-        and [lists.kernel.dtype, lists.amplitude.dtype] == [np.dtype(np.uint16)] * 2
-        and (len(lists.first), lists.first[0]) == (len(sequence.site) + 1, 0)
+        and [lists.first.dtype, lists.kernel.dtype, lists.amplitude.dtype] == _OF_LISTS
+        and (len(lists.first), lists.first[0]) == (len(times_us) + 1, 0)
         and len(lists.kernel) == len(lists.amplitude) == lists.first[-1]
-        and (counts := np.diff(lists.first)).min() >= 1
-        and lists.kernel.max() < len(lists.table.weights)
     ):  # fmt: skip
-        first, pairs = lists.first, np.array([lists.kernel, lists.amplitude], "<u2").T
-        # Use lists only if the board computes exactly the proved currents, in 32 bits.
-        same = (lists.site == sequence.site) & (lists.current_ua == current_ua).all(axis=1)
-        same &= (np.maximum.reduceat(lists.kernel, first[:-1]) < image.count) & (counts <= FULL)
-        same &= np.add.reduceat(lists.amplitude, first[:-1], dtype=np.int64) <= FULL
-        kind[same] = np.where(counts == 1, POINTS, SUM)[same]
-    table = (shapes >> 16 | shapes << 16).astype("<u4").tobytes()
-    return _Columns(table, shape, kind, first, pairs, rows)
+        first, kernel = lists.first.tolist(), lists.kernel.tolist()
+        amplitude = lists.amplitude.tolist()
+        pairs = np.array([lists.kernel, lists.amplitude], "<u2").T.tobytes()
+        same = (lists.site == sequence.site) & (lists.current_ua == sequence.current_ua).all(axis=1)
+        for slot, (at, until) in enumerate(itertools.pairwise(first)):
+            # Use lists only if the board computes exactly the proved currents, in 32 bits.
+            whole = until > at and max(kernel[at:until]) < image.count and until - at <= FULL
+            if same[slot] and whole and sum(amplitude[at:until]) <= FULL:
+                kinds[slot] = POINTS if until - at == 1 else SUM
+    if max(kinds, default=SUM) > SUM:
+        site, current_ua = sequence.site[:, None].astype("<u2"), sequence.current_ua
+        if switched:
+            rows = _switched_rows(site, current_ua)
+        else:
+            rows = np.concatenate([site.view("<i2"), current_ua], axis=1, dtype="<i2").tobytes()
+    keys = [*zip(kinds, map(shapes.index, times_us), strict=True)]
+    return _Columns(b"".join(itertools.starmap(_SHAPE.pack, shapes)), keys, first, pairs, rows)
 
 
-def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> NDArray[np.uint8]:
+def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> bytes:
     """Return site, source current and states of each slot."""
     # The gate allows less than fits 16 bits.
     source_ua = np.maximum(current_ua, 0).sum(axis=1)
     bits = np.stack([current_ua > 0, current_ua < 0], axis=-1).reshape(len(site), -1)
     states = np.packbits(bits, axis=1, bitorder="little")
     source = source_ua.astype("<u2")[:, None]
-    return np.concatenate([site.view(np.uint8), source.view(np.uint8), states], axis=1)
+    return np.concatenate([site.view(np.uint8), source.view(np.uint8), states], axis=1).tobytes()
 
 
 def _payload(
     sequence: ScanSequence, columns: _Columns, start: int, end: int, times: int, measure: bool
 ) -> bytes:
     """Return the payload of some slots; the last one includes the recharge phase."""
-    shapes, shape, kind, first, pairs, rows = columns
-    flags = protocol.GOES_ON * (start > 0) | protocol.MORE * (end < len(sequence.site))
+    shapes, keys, first, pairs, rows = columns
+    flags = protocol.GOES_ON * (start > 0) | protocol.MORE * (end < len(keys))
     flags |= protocol.MEASURE * measure
     tail = b""
-    if sequence.recharge_ua is not None and end == len(sequence.site):
+    if sequence.recharge_ua is not None and end == len(keys):
         flags |= protocol.RECHARGE
         tail = sequence.recharge_us.to_bytes(2, "little")
         tail += sequence.recharge_ua.astype("<i2").tobytes()
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
     head = protocol.SEQUENCE.pack(sequence.period_us, times, intensity, flags, len(shapes) // 4)
-    data, starts = [head, shapes, tail], np.arange(start, end)
-    # Each sum is its own group.
-    cuts = (np.diff(kind[start:end]) != 0) | (np.diff(shape[start:end]) != 0)
-    cuts |= kind[start + 1 : end] == SUM
-    bounds = [start, *starts[1:][cuts].tolist(), end] if end > start else []
-    for at, until in itertools.pairwise(bounds):
-        body = pairs[first[at] : first[until]] if kind[at] < CURRENTS else rows[at:until]
-        data += [protocol.GROUP.pack(kind[at], shape[at], len(body)), body.tobytes()]
+    data, size, at = [head, shapes, tail], len(rows) // max(1, len(keys)), start
+    for slot in range(start + 1, end + 1):
+        kind, shape = keys[at]
+        # Each sum is its own group.
+        if kind != SUM and slot < end and keys[slot] == keys[at]:
+            continue
+        count, body = slot - at, rows[at * size : slot * size]
+        if kind < CURRENTS:
+            count, body = first[slot] - first[at], pairs[4 * first[at] : 4 * first[slot]]
+        data += protocol.GROUP.pack(kind, shape, count), body
+        at = slot
     return b"".join(data)
