@@ -1,5 +1,6 @@
 """Several threads open, halt, stop and close a board, and a Ctrl-C comes at any instant."""
 
+import gc
 import os
 import signal
 import sys
@@ -224,6 +225,21 @@ def test_halting_ends_the_start_of_an_emulator(monkeypatch, tmp_path):
     process = board.driver.process
     process.end()
     assert process.has_ended
+
+
+def test_an_emulator_ends_with_its_board():
+    """It starts with the driver, so also a board that is never opened has one."""
+    unopened = make_board("emulator:", KIT_LIMITS)
+    process = unopened.driver.process._process
+    assert process.poll() is None
+    del unopened
+    gc.collect()
+    assert process.poll() is not None
+    board = make_board("emulator:", KIT_LIMITS)
+    for _ in range(2):
+        with board:
+            assert not board.driver.process.has_ended
+        assert board.driver.process._process.returncode == 0
 
 
 @pytest.mark.parametrize("long", [False, True])
