@@ -14,6 +14,7 @@ import numpy as np
 
 import smarttouch as st
 from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.posix import prioritized
 from smarttouch.sources.force import FixedForce
 
 KIND, URL = sys.argv[1:3]
@@ -44,8 +45,9 @@ def session():
         touch.show(np.eye(64)[0], 60)
 
 
+@prioritized()
 def drive(board, seconds=60.0):
-    """Send to an open board without a run."""
+    """Send to an open board without a run; other programs do not make it late."""
     source, ends_s = st.open_source(TEXT, display.profile), time.monotonic() + seconds
     for step in st.steps(source, display.profile, intensity=0.05, scan="points"):
         board.send(step.sequence)
