@@ -5,14 +5,11 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.clock import now_ns
 from smarttouch.base.errors import (
     BoardClosedError,
     BoardError,
@@ -31,7 +28,6 @@ from smarttouch.base.wire.port import (
     open_port,
     read_some,
     reason,
-    record,
     reopen_port,
     write_before,
 )
@@ -152,8 +148,6 @@ class Line:
         Returns the time by the board's clock.
     identity : UsbIdentity or None
         USB identity of the device, or None.
-    recording : Path or None
-        File to which both directions are appended, see `smarttouch.base.wire.port.record`.
     """
 
     def __init__(self, board: "Board") -> None:
@@ -162,8 +156,6 @@ class Line:
         self.reopened: bool = False
         self.now_ns: Callable[[], int] = board.clock.now_ns
         self.identity: UsbIdentity | None = None
-        self.recording: Path | None = None
-        self._recorder = ThreadPoolExecutor(1)
         self._port: Port | None = None
         self._stopped = threading.Event()
         # Reentrant, because a signal handler may stop the board while its thread is writing.
@@ -197,7 +189,6 @@ class Line:
         else:
             port = open_port(name, baudrate)
             self.identity = identity_of(port)
-        self._note("opened", name.encode())
         self.name, self._port = name, wrap(port)
 
     def disconnect(self) -> None:
@@ -206,9 +197,6 @@ class Line:
         if port is not None:
             with contextlib.suppress(*LINE_ERRORS):
                 port.close()
-            self._note("sent", getattr(port, "left_to_watchdog", b""))
-            if self.recording is not None:
-                wait([self._recorder.submit(int)], WRITE_S)
 
     # -- writing -----------------------------------------------------------
 
@@ -243,7 +231,6 @@ class Line:
             for at in range(PIECE, len(data), PIECE):
                 self.require_running()
                 port.write(data[at : at + PIECE])
-        self._note("sent", data)
 
     @contextlib.contextmanager
     def current(self, proved: ProvedSequence | None = None) -> Iterator[None]:
@@ -304,7 +291,7 @@ class Line:
         """Return the bytes received in time, at most ``count``."""
         with self._open_port("has vanished") as port:
             port.timeout = within_s
-            return self._note("received", bytes(port.read(count)))
+            return bytes(port.read(count))
 
     def ask(
         self, data: bytes, count: int, within_s: float, proved: ProvedSequence | None = None
@@ -325,24 +312,12 @@ class Line:
                 self.board.notes += [note] * (note not in self.board.notes)
                 # Always pause: this thread may have priority over all others.
                 time.sleep(0.001)
-            return self._note("received", data or b"")
+            return data or b""
 
     def discard_input(self) -> None:
         """Drop unread bytes."""
         with self._open_port("has vanished") as port:
             port.reset_input_buffer()
-
-    def _note(self, event: str, data: bytes) -> bytes:
-        """Record bytes and return them. A slow disk delays nothing, as another thread writes."""
-        if self.recording is not None and data:
-            job = self._recorder.submit(record, self.recording, now_ns(), event, data)
-            job.add_done_callback(self._noted)
-        return data
-
-    def _noted(self, job: Future[None]) -> None:
-        if (failure := job.exception()) is not None and self.recording is not None:
-            self.board.notes.append(f"{self.recording} ends early: {failure}")
-            self.recording = None
 
     @contextlib.contextmanager
     def _open_port(self, what: str) -> Iterator[Port]:

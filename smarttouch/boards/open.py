@@ -1,7 +1,6 @@
 """Boards by URL."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from smarttouch.base.errors import BoardError
@@ -38,17 +37,12 @@ def make_board(
     url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
 ) -> Board:
     """Return the closed board for a URL, which may contain options of its driver, as in
-    ``emulator:?books=FOLDER``, and ``record=FILE``, a new file for what its line carries."""
+    ``emulator:?books=FOLDER``."""
     opener, rest = BOARDS.find(url)
-    rest, from_url = read_options(opener, rest, BoardError, ("output",), record=Path)
-    path = from_url.pop("record", None)
+    rest, from_url = read_options(opener, rest, BoardError, but=("output",))
     driver: Driver = opener(rest, replace(limits), output, **{**from_url, **options})
     BOARDS.require_kind(driver, url)
-    board = Board(driver, limits, output, **_WITHOUT_FINGER.get(url.partition(":")[0], {}))
-    if path is not None and (driver.port is None or path.exists()):
-        raise BoardError(f"record={path} needs a new file, and a board with a line: {url}")
-    board._line.recording = path
-    return board
+    return Board(driver, limits, output, **_WITHOUT_FINGER.get(url.partition(":")[0], {}))
 
 
 def may_touch_a_finger(url: str) -> bool:

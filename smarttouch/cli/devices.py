@@ -60,9 +60,8 @@ def emulate(
         str,
         argument(
             "link, kajimoto61, etactilekit, serial-array, hx711 or loadcell. Options "
-            "follow, as in 'link?electrodes=16&event=2 lift'. A file that "
-            "--board 'KIND:PORT?record=FILE' wrote is answered as the board did.",
-            "KIND|FILE",
+            "follow, as in 'link?electrodes=16&event=2 lift'.",
+            "KIND",
         ),
     ],
 ) -> None:

@@ -1,19 +1,12 @@
-"""Device end of a line for emulators: a pseudo-terminal, also of a recorded device, or TCP."""
+"""Device end of a line for emulators: a pseudo-terminal or a TCP connection."""
 
 import contextlib
-import json
 import os
 import select
 import socket
-import threading
 import time
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
-from smarttouch.base.errors import BoardError
-from smarttouch.base.files import MOST_BANK_BYTES, read_text
-from smarttouch.base.posix import HAS_POSIX, pty, tty
+from smarttouch.base.posix import pty, tty
 
 LARGEST_READ = 65536
 
@@ -32,8 +25,6 @@ class PtyLine:
     """Pseudo-terminal as a serial port of this machine."""
 
     def __init__(self) -> None:
-        if not HAS_POSIX:
-            raise BoardError("a port that stands for a device needs Linux or macOS")
         self._master, slave = pty.openpty()
         self.name: str = os.ttyname(slave)
         # Raw mode: bytes must pass unchanged even before the host configures the port.
@@ -102,77 +93,3 @@ class TcpLine:
     def write(self, data: bytes) -> bytes:
         """Write what fits; return the rest."""
         return b"" if self._host is None else _written(self._host.fileno(), data)
-
-
-@contextlib.contextmanager
-def replayed(path: Path | str) -> Iterator[str]:
-    """Give the name of a port during a block, where the device of a recording answers as it did.
-
-    At its end, raises BoardError that names the first byte of the host that was not as recorded.
-    """
-    with contextlib.closing(Replay(Path(path))) as replay, ThreadPoolExecutor(1) as pool:
-        served = pool.submit(replay.serve)
-        try:
-            yield replay.name
-        finally:
-            replay.ending.set()
-            served.result()
-
-
-class Replay(PtyLine):
-    """Port of a recorded device; BoardError unless ``path`` is a recording of `base.wire.port`."""
-
-    def __init__(self, path: Path) -> None:
-        self._path, self._heard, self._bytes = path, b"", 0
-        self.ending: threading.Event = threading.Event()  # the host writes no more
-        try:
-            lines = [*map(json.loads, read_text(path, BoardError, MOST_BANK_BYTES).splitlines())]
-            self._events = [(x["event"], bytes.fromhex(x["hex"]), int(x["time_ns"])) for x in lines]
-        except (ValueError, KeyError, TypeError):
-            raise BoardError(f"{path} is not the recording of a line: give one") from None
-        super().__init__()
-
-    def serve(self) -> None:
-        """Answer as recorded, also in time, as long as the host writes what was recorded, until it
-        closes the port. Raises BoardError with the position of the first other byte."""
-        before_ns = self._events[0][2] if self._events else 0
-        for event, data, time_ns in self._events:
-            due_ns, before_ns = time.monotonic_ns() + time_ns - before_ns, time_ns
-            if event == "opened":
-                # After an earlier connection, wait for its end.
-                while self._bytes and self._listen():
-                    pass
-                while (first := self.read(0.001)) is None and not self.ending.is_set():
-                    pass
-                self._heard = first or b""
-            elif event == "received":
-                while not self._heard and time.monotonic_ns() < due_ns and self._listen():
-                    pass
-                while (data := self.write(data)) and self._listen():
-                    pass
-            else:
-                self._compare(data)
-        while not self._heard and self._listen():
-            pass
-        if self._heard:
-            raise self._differs(f"{self._heard[0]:02x}", "nothing")
-
-    def _compare(self, data: bytes) -> None:
-        while data:
-            if not self._heard and not self._listen():
-                raise self._differs("missing", f"{data[0]:02x}")
-            for got, expected in zip(self._heard, data, strict=False):
-                if got != expected:
-                    raise self._differs(f"{got:02x}", f"{expected:02x}")
-                self._bytes += 1
-            self._heard, data = self._heard[len(data) :], data[len(self._heard) :]
-
-    def _listen(self) -> bool:
-        """Return whether the host may write more."""
-        data = self.read(0.001)
-        self._heard += data or b""
-        return bool(data) or (data is not None and not self.ending.is_set())
-
-    def _differs(self, got: str, recorded: str) -> BoardError:
-        where = f"byte {self._bytes} from the host"
-        return BoardError(f"{where} is {got}, and was {recorded} in {self._path}: compare them")

@@ -3,7 +3,6 @@
 import contextlib
 import ctypes
 import errno
-import json
 import os
 import select
 import socket
@@ -19,12 +18,11 @@ from serial.tools import list_ports
 
 from smarttouch.base import posix
 from smarttouch.base.errors import BoardError, OtherDeviceError, SmartTouchError
-from smarttouch.base.files import owner_only
 from smarttouch.base.posix import HAS_POSIX, fcntl, termios
 
 __all__ = [
     "LINE_ERRORS", "Port", "UsbIdentity", "identity_of", "open_port", "read_some", "reason",
-    "record", "reopen_port", "write_before",
+    "reopen_port", "write_before",
 ]  # fmt: skip
 
 _MOST_AT_ONCE = 65_536
@@ -196,14 +194,6 @@ def write_before(
     if sent < len(data):
         port.write(data[sent:])
     return True
-
-
-def record(path: Path, time_ns: int, event: str, data: bytes) -> None:
-    """Append ``{"time_ns": …, "event": "sent", "hex": "ff00"}`` to the recording of a port. Events
-    are ``opened`` (with its name), ``sent`` and ``received``. Raises OSError."""
-    line = {"time_ns": time_ns, "event": event, "hex": data.hex()}
-    with open(path, "ab", opener=owner_only) as file:
-        file.write(json.dumps(line).encode() + b"\n")
 
 
 def _other(name: str) -> OtherDeviceError:
