@@ -239,9 +239,7 @@ _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # tried x-heights, in letter heights
 _NEAR = (0.1, 0.5)  # tolerance of equal heights: in x-heights, plus pixels
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of the reach of ascenders and of descenders from the baseline, in x-heights."""
-_ABOVE, _UNDECIDED = 0.1, 0.35
-"""Distance above a baseline, in letter heights, and share of the letters that end there if it is
-too low."""
+_UNDECIDED = 0.3  # share of the letters that end above a baseline that is too low
 _STROKES = (0.75, 2.9)  # strokes per x-height of letters; print has 0.9 to 1.9
 _TOUCHING = 1.3  # usual width of components in which letters run together, in x-heights
 _ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.65, 0.52, 0.8
@@ -310,7 +308,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     curve = np.append(_fitted(x - left, bottom - slope * (x - left), degree), 0.0)
     curve[1] += slope
     off = bottom - polynomial.polyval(x - left, curve)
-    above = off < -_ABOVE * height
+    above = off < -_NEAR[0] * height - _NEAR[1]
     if above.mean() > _UNDECIDED:
         # Most letters descend, so the others determine the baseline.
         curve[0] += np.median(off[above])
