@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 MOST_TABLE_BYTES = 16_000_000
 """Largest CSV or JSON file: a day of numbers at 100 Hz is smaller."""
 MOST_TOML_BYTES = 1_000_000
-"""Largest TOML file; a profile of 1000 electrodes has a tenth. Parsing takes seconds per
+"""Largest TOML file: ten times the size of a profile of 1000 electrodes. Parsing takes seconds per
 megabyte."""
 MOST_ARRAY_BYTES = 256_000_000  # largest total size of the arrays in a file
 MOST_BANK_BYTES = 700_000_000
@@ -108,7 +108,7 @@ _FILE_NAME = re.compile(
 
 
 def named_file(name: str, error: type[SmartTouchError]) -> Path | None:
-    """Return the file that a name stands for, or None for words. A missing file is an error."""
+    """Return the file with a name, or None if the name is text. A missing file is an error."""
     there = file_at(name)
     if there is None and (words := _FILE_NAME.fullmatch(name)):
         file = name.removesuffix(words["options"] or "")
@@ -169,7 +169,7 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
 
 
 def replace_file(path: Path, data: bytes) -> None:
-    """Put a file with its content at a path, complete on the disk before it is there."""
+    """Replace a file atomically: the new content is complete on disk before it appears."""
     number, draft = tempfile.mkstemp(prefix=".", suffix=".draft", dir=path.parent)
     try:
         with os.fdopen(number, "wb") as file:

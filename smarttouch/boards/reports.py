@@ -33,8 +33,8 @@ class Capabilities:
     acknowledges: bool = False
     """Whether the board reports the start of each sequence."""
     host_timed: bool = False
-    """Whether the host times passes: `Driver.write` lasts as long as they do, and reports each. The
-    sender thread calls it; a newer sequence replaces a waiting one."""
+    """Whether the host sets the time of each pass. Then `Driver.write` returns after the last pass,
+    and reports each. The sender thread calls `write`; a newer sequence replaces a waiting one."""
     measures: bool = False
     """Whether the board measures the voltage of each slot."""
     force: bool = False
@@ -78,8 +78,8 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class BoardReport:
-    """Report of what a board has delivered since it was opened; the largest values of a board's own
-    report are since it was switched on."""
+    """Report of what a board has delivered since it was opened. If the board itself reports, maxima
+    are since it was switched on."""
 
     sequences: int
     slots: int
@@ -114,8 +114,8 @@ class HostStatistics:
     def add(
         self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None
     ) -> None:
-        """Add a sequence that was scanned ``times`` times, or from ``times`` to ``most`` times.
-        ``again`` means that the sequence itself was counted before."""
+        """Add a sequence that was scanned ``times`` times, or between ``times`` and ``most`` times.
+        If ``again``, only count its passes: the sequence was added before."""
         most, old = times if most is None else most, self.report
         pulses = int(np.count_nonzero(sequence.current_ua))
         peaks_ua = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1) * (most > 0)

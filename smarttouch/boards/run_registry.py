@@ -1,4 +1,4 @@
-"""The run registry: a folder in which each run that may drive a finger announces itself.
+"""The run registry: a folder in which each run that may drive a finger has an entry.
 
 ``runs/ID.json`` describes a run. ``runs/ID.lock`` is locked until its process ends in any way. To
 stop a run, `stop_all` writes ``runs/ID.stop``. The run checks for it every 50 ms, sets its boards
@@ -211,7 +211,7 @@ class RunEntry:
 
 
 def stop_all() -> list[Answer]:
-    """Stop all announced runs of this user, and prevent running programs from opening boards.
+    """Stop all registered runs of this user, and prevent running programs from opening boards.
 
     Return the result for each run. The wait for answers is 3 s. An error with one run does not
     prevent stopping others.
@@ -283,7 +283,7 @@ def _place() -> tuple[str, str, str]:
 
 
 def _listed() -> list[_Run]:
-    """Return all announced runs, including those that are just being announced."""
+    """Return all registered runs, including those that are just being registered."""
     try:
         paths = [*registry_folder().iterdir()]
     except FileNotFoundError:

@@ -69,7 +69,7 @@ class _Process:
         vars(self).update(vars(_Process()))
 
     def announce(self) -> None:
-        """Announce this process and the total current of its boards. Raises BoardError if the
+        """Register this process and the total current of its boards. Raises BoardError if the
         process was stopped, or if the current of all runs together is too large."""
         # Import late, so that help does not load profiles.
         from smarttouch.profile.ceilings import CEILING_USER_MA
@@ -141,13 +141,13 @@ class _Process:
         # The run may still confirm zero when it closes its board.
         while self.boards and time.monotonic() < deadline_s:
             time.sleep(0.002)
-        # A board that has not confirmed zero stays announced until it is closed.
+        # A board that has not confirmed zero stays in the run registry until it is closed.
         return not (self.boards or (entry is not None and entry.lost_a_board))
 
     def _stop_requested(self, reason: str) -> bool:
         at_zero = self.end(reason)
         if self.command is not None:
-            # The main thread must end what it waits for.
+            # Interrupt the main thread if it is waiting.
             if hasattr(signal, "pthread_kill"):
                 signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
             else:
@@ -238,7 +238,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows
 
 
 def enter(board: "Board") -> None:
-    """Announce a board before it is opened, if a stop must reach it. Raises BoardError if this
+    """Register a board before it is opened, if a stop must reach it. Raises BoardError if this
     program was stopped, or if all displays of the user together could drive too much current."""
     if not board.announced:
         return
@@ -255,7 +255,7 @@ def enter(board: "Board") -> None:
 
 
 def leave(board: "Board", at_zero: bool = True) -> None:
-    """Withdraw a closed board; ``at_zero`` is whether it has confirmed zero."""
+    """Unregister a closed board; ``at_zero`` is whether it has confirmed zero."""
     with _process.lock:
         if _process.boards.pop(board, None) is not None and _process.entry is not None:
             _process.entry.lost_a_board |= not at_zero
@@ -263,7 +263,7 @@ def leave(board: "Board", at_zero: bool = True) -> None:
 
 
 def expect(board: "Board") -> None:
-    """Announce the running command, if it will open a board that a stop must reach."""
+    """Register the running command, if it will open a board that a stop must reach."""
     if _process.command is not None and board.announced:
         with _process.lock:
             _process.runs.append(_process.command.stop)
@@ -297,7 +297,7 @@ def running_command(give_up: Callable[[int], None]) -> Iterator[Command]:
 
 @contextmanager
 def stoppable_run(stop: StopRequest, board: "Board") -> Iterator[Callable[[], None]]:
-    """Announce a run during the block. After a signal, RunStopped or KeyboardInterrupt ends the
+    """Register a run during the block. After a signal, RunStopped or KeyboardInterrupt ends the
     block in the main thread; after calling the yielded function, it is raised at the end of the
     block instead."""
     if not board.announced:

@@ -114,7 +114,7 @@ def _without_padding(pages: Pages) -> Pages:
 def without_page_numbers(pages: Pages, note: Callable[[str], None]) -> Pages:
     """Remove page numbers in one corner of two or more pages.
 
-    Repeated text beside such a number is removed, too. ``note`` is told of both.
+    Repeated text beside such a number is removed, too. ``note`` receives a sentence about each.
     """
     for (side, corner), (edge, edge_index) in itertools.product(_CORNERS.items(), _EDGES.items()):
         lines = ((k, corner.fullmatch(page[edge_index])) for k, page in enumerate(pages) if page)

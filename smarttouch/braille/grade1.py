@@ -176,7 +176,7 @@ def encode_scripts(line: str, encode: Translator, encode_item: Translator) -> st
 def decode_scripts(cells: str, decode: Translator) -> str:
     """Translate cells by ``decode``, and superscripts and subscripts in technical notation.
 
-    Contractions have the same cells, so a grade 1 indicator or a number must be before them.
+    Contractions use the same cells as scripts, so a script must follow a number or indicator.
     """
     text, end = "", 0
     for match in _SCRIPT_CELLS.finditer(cells):

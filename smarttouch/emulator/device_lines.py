@@ -40,7 +40,7 @@ class PtyLine:
             os.close(master)
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return what has come, empty if nothing; None while there is no host."""
+        """Return the bytes received within the timeout, if any; None while there is no host."""
         if not select.select([self._master], [], [], timeout_s)[0]:
             return b""
         try:
@@ -72,7 +72,7 @@ class TcpLine:
             self._host.close()
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return what has come, empty if nothing; None while there is no host."""
+        """Return the bytes received within the timeout, if any; None while there is no host."""
         ready = select.select([self._host or self._listener], [], [], timeout_s)[0]
         if self._host is None:
             if not ready:

@@ -183,7 +183,7 @@ class Server:
         books.write()
 
     def step(self, data: bytes | None, now_ns: int) -> None:
-        """Execute what is due, with bytes from the host; None if there is no host."""
+        """Execute all due actions. ``data`` is from the host; None if there is no host."""
         firmware, had_host = self._firmware, self._hosted
         self._hosted = data is not None
         if data is None:

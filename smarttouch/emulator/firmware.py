@@ -101,7 +101,7 @@ class DeliveryLog:
             self._delivered += np.array([record], _record(self.electrodes)).tobytes()
 
     def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
-        """Store a pulse; for subclasses."""
+        """Store a pulse; does nothing unless overridden."""
 
     def write(self) -> None:
         if self.folder is None:

@@ -81,7 +81,7 @@ class Load(NamedTuple):
     cathodic. Charges include the recharge phase."""
     peak_ua: int  # largest current and largest charge of a pulse; 0 without current
     peak_pc: int
-    busy_us: int  # duration of slots and recharge phase, and of their current
+    busy_us: int  # duration of slots and recharge phase; below, duration of their current
     pulses_us: int
 
     def after(self, before: "Load") -> "Load":

@@ -1,4 +1,4 @@
-"""Electrical circuit of electrodes on skin, and the finger with its events.
+"""Electrical circuit of electrodes on skin, and an emulated finger with events.
 
 Each electrode has a series resistance R_s and the horny layer, a resistance R_p in parallel with a
 capacitance C_p. All electrodes meet in one node, the tissue::
@@ -11,12 +11,12 @@ Currents and voltages are positive cathodic, each electrode against the tissue.
 An event of the finger is a text with a time in seconds::
 
     2.0 lift            the finger leaves all electrodes
-    3.0 touch           and is back
-    0 force 0.6         it presses with 0.6 N while it touches
+    3.0 touch           the finger touches them again
+    0 force 0.6         the finger presses with 0.6 N while it touches
     5 open 7            electrode 7 is cut off
     5 short 7           electrode 7 has a few ohm to the tissue
-    6 emergency         the emergency switch is opened, by this finger's other hand
-    7 release           and closed
+    6 emergency         the emergency switch is opened
+    7 release           the emergency switch is closed
 """
 
 import math
@@ -197,15 +197,15 @@ class SkinCircuit:
     def _find_shorts(
         self, duration_us: float
     ) -> tuple[NDArray[np.float64], list[tuple[NDArray[np.float64], NDArray[np.float64]]]]:
-        """Return the final voltage of each electrode relative to the node, and for each step its
-        loss and its coupling to the node."""
+        """Return the ratio of each electrode's final voltage to the node's. For each step, return
+        the share of the remaining difference that decays, and the weight in the node's voltage."""
         series = 1 / self.series_ohm
         rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
         level = series / (rate * self.capacitance_f)
         share = _SHORT_GROWTH ** np.arange(_SHORT_STEPS, dtype=np.float64)
         length = (share * (duration_us * 1e-6 / share.sum()))[:, None]
         lost = -np.expm1(-rate * length)
-        # Charge that leaves per volt of the electrode, and that arrives per volt of the node.
+        # charge that leaves per volt of the capacitor, and that arrives per volt of the node
         out = series * lost / rate
         back = series * length * (1 - level) + level * out
         return level, list(zip(lost, out / back.sum(axis=1, keepdims=True), strict=True))

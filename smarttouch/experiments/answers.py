@@ -145,8 +145,8 @@ class AnswerCells:
 def parse_cells(data: bytes, path: Path) -> AnswerCells:
     """Parse the content of a CSV file.
 
-    Cells are separated by comma, semicolon or tab. A decimal comma is allowed unless commas
-    separate. A last line with too few cells and no line break is left out.
+    Cells are separated by comma, semicolon or tab. A decimal comma is allowed if the separator
+    is not a comma. A last line with too few cells and no line break is left out.
     """
     end = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
     first = data.split(b"\n", 1)[0].split(b"\r", 1)[0].decode(errors="replace")

@@ -43,8 +43,8 @@ PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
 """Standards for PC: those for RA, and the two at which the paper's thresholds change (Fig. 18)."""
 _NARROWEST_RATIO, _START_RATIO = 1.01, 1.6  # smallest and first ratio of a staircase
 _STEP = 0.03
-"""Step of a staircase of frequencies: a quarter of the mechanical threshold of about 20 % is 5 %.
-"""
+"""Relative step down of a frequency staircase. A quarter of the mechanical threshold (about 20 %)
+would be 5 %."""
 LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
 """Levels of the detection experiment, relative to the profile's threshold (our own choice)."""
 _DETECTION_STEP = 0.05
@@ -179,8 +179,8 @@ def discomfort(setup: Setup) -> Trials:
 
 
 def _rising(train: Train, full_ma: float) -> Course:
-    """Rise to a current over the duration of a train. Return y at the first key, or n without
-    one."""
+    """Raise the current over the duration of a train. Return y at the first key, or n if there
+    is none."""
     steps = round(train.seconds / STEP_S)
     pressed: bool | None = None
     while pressed is None:
@@ -223,8 +223,8 @@ def localization(setup: Setup) -> Trials:
 def softness(setup: Setup) -> Trials:
     """Ask which of two points is softer while the finger moves (paper, Section III-B.2).
 
-    The rate of one follows the finger's force, as on a hard object. The comparison says how much
-    less the rate of the other follows it: at 1 it is constant.
+    The rate of one follows the finger's force, as on a hard object. The comparison is the
+    softness of the other: at 1, its rate is constant.
     """
     if setup.afferent is not Afferent.SAI:
         raise ExperimentError("softness is felt through SAI: give --mode SAI")

@@ -71,12 +71,12 @@ def uncorrected(profile: Profile) -> Profile:
 _Stack = Sequence[NDArray[np.uint8]]
 
 MOST_UNEVEN = 0.05
-"""Largest unevenness of white after correction; above it the paper is not blank or moved."""
+"""Largest unevenness after correction; above it, the paper has print on it or has moved."""
 
 
 @dataclass(frozen=True, eq=False)
 class OpticsFound:
-    """Flat field and the unevenness before and after it."""
+    """Flat field, and the unevenness of blank paper before and after correction."""
 
     field: FlatField
     # uneven_before, uneven_after: standard deviation of blank paper over its mean. With two or more
@@ -85,7 +85,7 @@ class OpticsFound:
     uneven_after: float
 
     def sentence(self) -> str:
-        """Return the sentence for the profile."""
+        """Return the sentence that the profile stores about this result."""
         columns, rows = self.field.gain.shape[::-1]
         return (
             f"{columns} × {rows} pixels, blank paper uneven by {self.uneven_before:.1%} before and "
@@ -125,7 +125,7 @@ Gray = NDArray[np.integer[Any] | np.floating[Any]]
 
 MARKERS = 3  # in a row of the target
 MODULES = 7 * MARKERS - 1  # across the target: 6 for each marker, and one between markers
-FIELD_SHARE = 1.5  # side of the target over the sensor's field: it need not be centered exactly
+FIELD_SHARE = 1.5  # target side divided by field side, so that centering need not be exact
 FEWEST_PIXELS = 24  # fewest pixels on a side for which markers are recognized
 LEAST_CORRELATION = 0.8  # smallest correlation of image and target; above 0.9 if it lies flat
 MOST_OUTSIDE = 0.25  # largest share of electrodes outside the image
@@ -169,7 +169,7 @@ class PageTarget:
 
 
 def target_for(profile: Profile) -> PageTarget:
-    """Return a target somewhat larger than the sensor's field."""
+    """Return a target that is larger than the sensor's field."""
     optics = profile.optics
     if min(optics.sensor_columns, optics.sensor_rows) < FEWEST_PIXELS:
         raise CalibrationError(
@@ -224,7 +224,7 @@ class RegistrationFound:
         return np.flatnonzero(~inside)
 
     def sentence(self) -> str:
-        """Return the sentence for the profile."""
+        """Return the sentence that the profile stores about this result."""
         return (
             f"{self.markers} markers in {self.shape[1]} × {self.shape[0]} pixels, correlation "
             f"{self.correlation:.3f}"

@@ -308,7 +308,7 @@ class Summed:
     """Results of one combination on all fingers of one anatomy."""
 
     anatomy: str
-    label: str  # the combination, without what is equal in the whole study
+    label: str  # the combination, without values that are equal in the whole study
     fingers: dict[str, list[float]]  # by measure: the mean over letters for each finger
     total_ma: float  # mean total current of a slot
 

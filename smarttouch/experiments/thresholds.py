@@ -242,7 +242,7 @@ class Progress(AnswerFile):
 
 def threshold_trials(
     profile: Profile,  # profile to measure with
-    board: Board,  # board; its largest current, known once it is open, is a limit, too
+    board: Board,  # its largest current is a limit, too, known once the board is open
     sites: Sequence[int],
     progress: Progress,  # stores each result; electrodes that it contains are left out
     say: Callable[[str], None],  # shows a line of text
@@ -267,8 +267,8 @@ def threshold_trials(
             answer = yield Trial(
                 Condition(0.0, math.nan, index=site), (setup.train([site], setup.pulse_hz),),
                 "felt",
-                f"electrode {site}: a key when you feel it, again when it is strong enough", "mA",
-                exact=True, course=rising.course(),
+                f"electrode {site}: press a key when you feel it, and when it is strong enough",
+                "mA", exact=True, course=rising.course(),
             )  # fmt: skip
             thresholds: Thresholds = answer.found
             if thresholds.usable or not thresholds.felt:
@@ -305,7 +305,7 @@ def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
 
 
 def sentence(found: Found) -> str:
-    """Return the sentence for the profile."""
+    """Return the sentence that the profile stores about these thresholds."""
     usable = [site_result for site_result in found.values() if site_result.usable]
     threshold = np.array([site_result.threshold_ma for site_result in usable])
     comfort = np.array([site_result.comfort_ma for site_result in usable])

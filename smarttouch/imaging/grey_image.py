@@ -76,8 +76,8 @@ class GreyConverter:
 
 
 def _ground(grey: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> tuple[int, int | None]:
-    """Return the ground of a transparent image, and the level of the image if its outline is the
-    print."""
+    """Return the background level of a transparent image. If its outline is the print, also return
+    the level of the print, else None."""
     visible = np.asarray(alpha >= max(1, int(alpha.max()) // 2), np.uint8)
     inner = cv2.erode(visible, _AROUND) > 0
     edges = cv2.morphologyEx(grey, cv2.MORPH_GRADIENT, _AROUND)[inner] >= _EDGE_LEVELS

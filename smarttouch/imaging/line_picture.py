@@ -35,7 +35,7 @@ class Raster:
 
 
 def as_ink(values: Floats) -> NDArray[np.uint8]:
-    """Convert values in [0, 1] to gray levels: 255 is 0, and 0 is the strongest."""
+    """Convert values in [0, 1] to gray levels: 0 becomes white (255), 1 becomes black (0)."""
     return np.asarray(np.rint(255 * (1 - np.clip(values, 0, 1))), np.uint8)
 
 

@@ -60,9 +60,9 @@ class Registration:
 
 
 def _reduced_side(side: int, wanted: float) -> int:
-    """Return ``side`` divided by the largest integer that leaves at least ``wanted``: OpenCV
-    reduces faster by integers."""
-    # Rounding errors must not cost a whole factor.
+    """Return ``side`` divided by the largest integer such that the result is at least ``wanted``.
+    OpenCV reduces faster by integers."""
+    # Tolerate rounding errors: without this the factor could be too small by one.
     largest = math.floor(side / wanted * (1 + 1e-9))
     return side // next(factor for factor in range(max(1, largest), 0, -1) if side % factor == 0)
 
@@ -110,7 +110,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
     nth = np.arange(len(pixel_index)) - (counts.cumsum() - counts)[electrode]
     pixels = np.zeros((counts.max(initial=0), len(electrodes)), np.intp)
     shares = np.zeros(pixels.shape, np.float32)
-    # Multiples of one sample's weight, added in single precision.
+    # weights of 1, 2, … samples, added in single precision
     weights = np.full(samples.max(initial=1), 1 / (255 * across * down), np.float32)
     pixels[nth, electrode], shares[nth, electrode] = pixel, weights.cumsum()[samples - 1]
     return Apertures(pixels, shares)

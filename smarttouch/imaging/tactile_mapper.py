@@ -17,7 +17,7 @@ LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper
 LEAST_GRAINS, PALE = 4.0, 0.3
 """Smallest contrast of print relative to the paper's grain, and contrast above which grain is
 ignored."""
-BLURRED = 0.3  # contrast at which blurred ink begins, at most 0.6 of its own contrast
+BLURRED = 0.3  # contrast above which blurred print counts as ink, at most 0.6 of the deepest
 GREY_GUARD = 0.41  # share of pixels between paper and ink above which a frame is noise
 BLACK = 0.2  # level, relative to white, below which wide areas are print, not a dark table
 WHITE_DECAY_PER_S = 0.3  # rate at which the white level falls: slow enough for a black headline
@@ -73,7 +73,7 @@ ADAPTATION_S = 0.04
 short enough that a stroke at reading speed does not smear over the next letter."""
 LEAVING = 0.4
 """RA drive by leaving ink relative to arriving ink: RA responds less to the end of a touch. At full
-strength, the stroke that has left would be felt beside the current one."""
+strength, the last stroke would be felt beside the current one."""
 FAINTEST_CHANGE = 0.15  # smallest change above sensor noise
 
 

@@ -36,7 +36,7 @@ _ROUNDING_MM = 1.0  # tolerance of the page's pointer at the edges
 
 
 class PageMotion(HandMotion):
-    """Motion of the pointer over the texture in the run's window, from the middle of the
+    """Motion of the pointer over the texture in the run's window, starting at the middle of the
     texture."""
 
     resolution_mm: float = 0.25  # about one pixel of the page
@@ -71,10 +71,10 @@ class PageMotion(HandMotion):
 
 
 SLIDES = 1.5
-"""Distance, in counts, at which the place follows a moving hand: jitter by one count along both
-axes (2.8 counts from end to end) does not move it back."""
+"""Lag, in counts, of the place behind a moving hand: jitter by one count along both axes (2.8
+counts from end to end) does not move it back."""
 STICKS = 4.5
-"""Counts by which a resting hand must move: the following distance plus jitter."""
+"""Distance, in counts, that a resting hand must move to be followed: the lag plus jitter."""
 
 _ROUNDING = 1 + 1e-6  # tolerance for rounding at the end of a slide
 

@@ -76,7 +76,7 @@ _PATH_RESOLUTION_MM = 0.01  # resolution of recorded paths (our estimate)
 def open_path(rest: str) -> "PathMotion":
     """Open ``path:CSV``."""
     if not rest:
-        raise SourceError("path: has no file name: give one, as in path:way.csv")
+        raise SourceError("path: needs a file name, as in path:way.csv")
     return PathMotion(Path(rest))
 
 

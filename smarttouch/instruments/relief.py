@@ -89,7 +89,7 @@ _FINEST_MM, _COARSEST_MM = 0.02, 0.1
 _MOST_PIXELS = 16_000_000
 _LONGEST_SIDE = 32_000  # longest side of a map: OpenCV's sampling uses 16-bit coordinates
 _LOWEST, _HIGHEST = 0.25, 0.75
-"""Heights below which a place is always low, and above which it is always high; between them the
+"""Heights below which a place is always low, and above which it is always high. Between them, its
 surroundings decide."""
 _AROUND = 2.5  # width of the surroundings, in grains; the standard deviation is one grain
 _BLUR_MM = 0.2  # blur that removes noise of photographs; a line half as wide stays high

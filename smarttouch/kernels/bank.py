@@ -136,7 +136,7 @@ def _array_problem(profile: Profile) -> dict[str, Any]:
         "version": DESIGN_VERSION,
         # Leave out unset keys, so that new keys do not change the hash.
         "array": profile.array.model_dump(exclude_none=True),
-        # Version 1.0 had layers of skin, which are part of its hashes.
+        # Version 1.0 had skin layers, and hashes include that key: keep it, empty.
         "skin": profile.skin.model_dump() | {"layers": ()},
         "output": _by_sources(profile).output.model_dump(
             exclude={"masked", "wiring", "ua_per_count"}
@@ -261,8 +261,8 @@ def design_bank(
 def design_confined(
     profile: Profile, sites: Sequence[int], progress: Progress | None, keep: Path | None = None
 ) -> KernelBank:
-    """Design kernels of `Kernels.neighbors` electrodes for some sites. The kernels of other sites,
-    and the AF at a target from electrodes farther away, are zero."""
+    """Design kernels for some sites; each uses the nearest `Kernels.neighbors` electrodes. Other
+    sites get zero kernels, and the AF at a target from more distant electrodes counts as zero."""
     from smarttouch.kernels.batch_design import design_tiles
     from smarttouch.kernels.switched_design import designer, possible_modes
 

@@ -25,8 +25,8 @@ _Pad = tuple[int, int | None, float, float, Shape, tuple[float, float]]
 
 
 def fan_out(profile: Profile) -> tuple[int, ...]:
-    """Return an ``output.wiring`` for which no tracks cross: each runs down to its contact, on the
-    right of all lower electrodes that are not further right."""
+    """Return an ``output.wiring`` without crossing tracks. Each track runs down to its contact. It
+    passes lower electrodes on their right, unless they are farther right than its electrode."""
     x_mm, y_mm = np.round(profile.electrodes.position_mm, 3).T
     return tuple(np.argsort(np.lexsort((-y_mm, x_mm))).tolist())
 

@@ -257,7 +257,7 @@ class LinearProgram:
         return abs(value - bound) <= 1e-6 * max(1.0, abs(value))
 
     def _broken(self, weights: Array, worst: float) -> NDArray[np.intp]:
-        """Return rows to add: coarse ones as long as any is violated."""
+        """Return violated rows to add: coarse rows first, then nearly violated ones, then all."""
         for some, values in (
             (self._rows.coarse, self._rows.coarse_rows),
             (self._near, self._near_rows),

@@ -300,8 +300,8 @@ class Certainty:
     def of(
         cls, sets: Sequence[SharedKernels], aim: float, faintest: float, most_ma: float
     ) -> "Certainty":
-        """Return the bounds for levels from ``faintest`` to 1, targets weakened to ``aim`` of their
-        request, and slots with a total current up to ``most_ma``."""
+        """Return the bounds for levels from ``faintest`` to 1 and slots of at most ``most_ma`` in
+        total. Targets get only the share ``aim`` of the requested activation."""
         certainties = [cls._of_one(site_set, aim, faintest, most_ma) for site_set in sets]
         columns = np.array(certainties, np.float64).reshape(-1, 7).T
         return cls(

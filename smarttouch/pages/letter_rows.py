@@ -142,8 +142,8 @@ _LARGEST_RATIO = 2.8  # largest ratio of heights in a row; a parenthesis has 2.5
 _LEAST_SPACE = 0.35  # narrowest space between words, in letter heights
 _LANE_PX = 3.0  # letter height, px, at which lanes are searched
 _NARROWEST, _LANES = 0.75, ((1.25, 15.0), (1.9, 8.0))
-"""Smallest width of the lane between columns, in letter heights, and in typical spaces for lanes of
-a given length."""
+"""Smallest width of a lane between columns, in letter heights; and pairs of the smallest width, in
+typical spaces, and the lane's smallest length, in letter heights."""
 _LANE_REACH, _SHORT_LINES, _LANE_GAP = 16.0, 6.5, 25.0
 """Largest distance between a lane and the print on both sides, and largest height of gaps in that
 print and in a lane, in letter heights."""
@@ -178,7 +178,7 @@ def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[
 
 
 def _lanes(ink: Ink, height: float, space: float) -> Ink:
-    """Return the tall white between print on both sides, (H, W)."""
+    """Return a mask of tall white lanes with print on both sides, (H, W)."""
     part, rows = max(1, int(height / _LANE_PX)), len(ink)
     ink = np.logical_or.reduceat(ink, np.arange(0, len(ink), part), axis=0)
     page = ink.view(np.uint8)
@@ -241,12 +241,12 @@ _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of the reach of ascenders and of descenders from the baseline, in x-heights."""
 _UNDECIDED = 0.3  # share of the letters that end above a baseline that is too low
 _STROKES = (0.75, 2.9)  # strokes per x-height of letters; print has 0.9 to 1.9
-_TOUCHING = 1.3  # usual width of components in which letters run together, in x-heights
+_TOUCHING = 1.3  # typical width of components in which letters run together, in x-heights
 _ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.65, 0.52, 0.8
-"""Least part of the letters that begin and end at usual heights, where they touch, and of few."""
+"""Smallest share of letters at typical heights: usually, if letters touch, and for few letters."""
 MANY, _SOLID = 8, 0.75
-"""Letters of a line that stands for itself; filled part of a box above which it is a disc or a
-square, if it is as wide as high."""
+"""Smallest number of letters of a line that is judged by itself. Share of ink in its box above
+which a component as wide as high is a disc or a square."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,7 +329,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
 
 
 def _on_levels(rise: Floats, x_height: Floats | float) -> NDArray[np.bool_]:
-    """Return which letters have x-height, and which the height of ascenders, (2, …, N)."""
+    """Return which letters have x-height, and which have ascender height, (2, …, N)."""
     near = np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]
     return np.array([near, ~near & (rise > _TALL[0] * x_height) & (rise < _TALL[1] * x_height)])
 
@@ -355,7 +355,7 @@ def _fitted(x: Floats, y: Floats, degree: int) -> Floats:
     """Return the coefficients of a curve that is close to most points."""
     weight, curve = np.ones_like(y), np.zeros(1)
     for _ in range(_ROUNDS):
-        # The full answer has no warning where points in one place determine no slope.
+        # ``full`` avoids a warning if points in one place leave the slope undetermined.
         curve = np.asarray(polynomial.polyfit(x, y, degree, full=True, w=weight)[0])
         away = y - polynomial.polyval(x, curve)
         # Descenders are all on one side.

@@ -31,7 +31,7 @@ from smarttouch.pages.reading_order import DOUBTFUL, Segment, reading_order
 from smarttouch.pages.straighten import cut_strip, find_sheet, flattened, turned
 
 LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
-"""Note of a sheet that was found."""
+"""Note for the user that a sheet was found."""
 FAINT = "faint marks, as of print on the back of the sheet"
 _SMALL_PX, _LARGEST_PIXELS = 9.0, 40_000_000
 """Letter height below which a page is enlarged, and the largest enlarged page."""
@@ -207,8 +207,8 @@ most foreign ink there, relative to its own and for each of its letters, also of
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
-    """Return lines that are not parts of a picture. Those are surrounded by other ink, have few
-    letters, or letters of different heights."""
+    """Return lines that are not parts of a picture. Lines in pictures are surrounded by other ink,
+    or have few letters, or letters of different heights."""
     rest = ink.astype(np.uint8)
     for line in (line for line in lines if len(line.rise) > 1):
         x = np.linspace(line.left, line.right, 20)
@@ -302,8 +302,8 @@ def _ends(lines: list[Baseline], components: Components) -> list[tuple[float, fl
 
 
 _SAME, _CAPITALS, _CAPITAL = 0.15, 0.08, 1.42
-"""Relative difference of x-heights of one font size; share of tall letters below which all are
-capitals; height of a capital, in x-heights."""
+"""Largest relative difference of x-heights of one font size; share of tall letters below which all
+letters are capitals; height of a capital, in x-heights."""
 _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 """Ranges of ascent and descent, in x-heights."""
 

@@ -166,7 +166,7 @@ def _insets(
     """Return the lines of the first of ``bands`` that lie across a gap of columns and have text at
     both sides, as those of a caption do; None if other text lies across it.
 
-    A single line that goes on across a gap was joined of two, and stays in its column.
+    A single line that continues across a gap consists of two joined lines, and stays in its column.
     """
     rows, middle = bands[0][0], sum(gap) / 2
     across = [[part] for row in rows for part in row if part.left < middle < part.right]

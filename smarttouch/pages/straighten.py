@@ -15,7 +15,7 @@ _SIDE_PX = 480  # longer side of the image for sheet detection
 _LEAST_PART, _LARGEST_PART = 0.2, 0.97
 """Smallest share of a photograph covered by a sheet, and share above which it is a scan."""
 _LOG_STEPS = (0.1, 0.15, 0.25, 0.4, 0.7)
-"""Smallest steps, in logarithm of the level, of the edges of a sheet; shadows have smaller ones."""
+"""Thresholds to try for a sheet's edge: steps of log gray level. Shadows have smaller steps."""
 _LEAST_FILLED = 0.93  # smallest share of the quadrilateral that is bright
 _LEAST_STEP, _LEAST_SIDES = 25.0, 3
 """Smallest drop of the gray level from paper to background at a visible edge, and smallest number

@@ -32,7 +32,7 @@ _BY_NAME = dict.fromkeys([".md", ".markdown"], _MARKDOWN) | dict.fromkeys(
     [".html", ".htm", ".xhtml"], f"html{_TEX}"
 )
 _ODF = rb"PK.{28}mimetypeapplication/vnd\.oasis\.opendocument\."
-_LISTED = rb"PK.*PK\x01\x02.{42}"  # the list of members, before the name of one
+_LISTED = rb"PK.*PK\x01\x02.{42}"  # from the start of a ZIP file to a name in its directory
 _KINDS = {
     rb"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b": f"html{_TEX}",
     _LISTED + rb"word/": "docx",

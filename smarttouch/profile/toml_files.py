@@ -31,8 +31,8 @@ def list_profiles() -> list[str]:
 
 COARSEST_MM = 0.25  # largest ``skin.node_spacing_mm`` in a file of a small array
 MOST_FINE = 200
-"""Largest number of electrodes for which this limit holds: with more, rows may not fit into
-memory."""
+"""Largest array for which `COARSEST_MM` holds, in electrodes: finer nodes of larger arrays may not
+fit into memory."""
 
 
 def load_profile(name: str | Path | Profile) -> Profile:

@@ -1,4 +1,4 @@
-"""The loop: the user's controls, inputs read at absolute deadlines of one clock, an orderly end."""
+"""The loop of a run: applies controls, and reads and sends inputs at deadlines of one clock."""
 
 import contextlib
 import gc
@@ -49,7 +49,7 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, checked_input
 
 HELD_UP_NS = 1_000_000
-"""A send that takes longer than this, beside its own work, has waited for the board."""
+"""Time beyond its own work after which a send is considered to have waited for the board."""
 _LATE_AGAIN_NS = 5_000_000_000  # time without a delay after which the next one is reported
 
 LOG = logging.getLogger("smarttouch.run")
@@ -73,8 +73,8 @@ def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iter
     """During the block, freeze garbage collection and limit OpenCV to one thread; first warm up the
     pipeline.
 
-    Use it before a board is open, which would take the delay for a lost host. In simulated time
-    only OpenCV is limited, as nothing can be late.
+    Enter the block before opening a board: an open board would report the delay as a lost host.
+    In simulated time only limit OpenCV, as nothing can be late.
     """
     threads = cv2.getNumThreads()
     # Images are small: a second thread costs more than it saves.
@@ -98,8 +98,8 @@ STEP = 0.05  # change of level by one press of a key
 
 @dataclass(frozen=True)
 class ControlState:
-    """State of the user's controls; ``level`` is a part of the strongest comfortable current, [0,
-    1].
+    """State of the user's controls; ``level`` is relative to the strongest comfortable current, in
+    [0, 1].
     """
 
     mode: Mode
@@ -112,14 +112,14 @@ class ControlState:
 
     @property
     def current_level(self) -> float:
-        """Level that flows: zero while paused."""
+        """Effective level: zero while paused."""
         return 0.0 if self.paused else self.level
 
 
 class Controls:
-    """Intensity, mode and pause as the user sets them; changed from any thread, read by the loop.
+    """Intensity, mode and pause. Any thread may change them; the loop reads them.
 
-    No level is raised above ``most``; `next_mode` goes through ``modes``.
+    The level is at most ``most``. `next_mode` cycles through ``modes``.
     """
 
     most: float = 1.0
@@ -127,7 +127,7 @@ class Controls:
     def __init__(self, state: ControlState, modes: tuple[Mode, ...] = ()) -> None:
         self.modes: tuple[Mode, ...] = modes or (state.mode,)
         self._state = state
-        # A change that another thread makes in between must not be lost, least of all a pause.
+        # Simultaneous changes by several threads must not be lost, least of all a pause.
         self._lock = threading.RLock()
 
     def state(self, _time_ns: int) -> ControlState:
@@ -135,13 +135,13 @@ class Controls:
         return self._state
 
     def change_level(self, by: float) -> None:
-        """Raise or lower the level, from 0 to the most that is allowed."""
+        """Raise or lower the level, limited to 0 and ``most``."""
         with self._lock:
             level = min(self.most, max(0.0, round(self._state.level + by, 6)))
             self._change(level=level)
 
     def set_level(self, level: float) -> None:
-        """Ask for a level; raises if it is not from 0 to the most that is allowed."""
+        """Set the level. Raises SmartTouchError unless it is between 0 and ``most``."""
         require_within(SmartTouchError, "intensity", level, 0, self.most)
         self._change(level=level)
 
@@ -150,26 +150,26 @@ class Controls:
         self._change(level=0.0)
 
     def pause(self) -> None:
-        """Set the level that flows to 0 at once, until `resume`."""
+        """Set the effective level to 0 at once, until `resume`."""
         self._change(paused=True)
 
     def resume(self) -> None:
-        """Go on from zero intensity."""
+        """Continue, starting from zero intensity."""
         self._change(paused=False)
 
     def toggle_pause(self) -> None:
-        """Pause, or go on from zero intensity."""
+        """Pause, or continue from zero intensity."""
         with self._lock:
             self._change(paused=not self._state.paused)
 
     def next_mode(self) -> None:
-        """Go to the next mode that is offered."""
+        """Change to the next mode."""
         with self._lock:
             at = self.modes.index(self._state.mode)
             self._change(mode=self.modes[(at + 1) % len(self.modes)])
 
     def choose_mode(self, mode: Mode | str) -> None:
-        """Go to one of the modes that are offered; raises for any other."""
+        """Change to one of ``modes``; raises an error for any other."""
         self._change(mode=choice_of("mode", mode, self.modes))
 
     def _change(self, **changes: Any) -> None:
@@ -177,16 +177,16 @@ class Controls:
             self._state = replace(self._state, **changes)
 
 
-NO_INK_NS = 5_000_000_000  # time without ink under a pressing finger after which that is said
-LIFT_NS = 300_000_000  # time without current after a lifted finger; it then rises from zero again
+NO_INK_NS = 5_000_000_000  # time without ink under a pressing finger before advice
+LIFT_NS = 300_000_000  # time at zero after a lifted finger; then current rises from zero
 
 
 @dataclass
 class Inputs:
     """Reads source, force and controls for each step; unknown force counts as no force.
 
-    A given ``force`` is read in place of the source's; the board may measure force, too, and report
-    a lifted finger.
+    If ``force`` is given, it replaces the force of the source. The board may measure force, too,
+    and report a lifted finger.
     """
 
     source: Source
@@ -200,12 +200,12 @@ class Inputs:
     _last_seen: int | None = None
     _blind: bool = False
     _lifted_until_ns: int = 0
-    _inkless_since_ns: float | None = None  # infinite once that was said
+    _inkless_since_ns: float | None = None  # infinite after advice was given
 
     def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
-        """Return the input with the force that counts (zero if unknown), and the level that flows.
+        """Return the input with the effective force (zero if unknown), and the effective level.
 
-        ``time_ns`` is of the run, ``now_ns`` of the loop's clock. None at the end of the source.
+        ``time_ns`` is time of the run, ``now_ns`` by the loop's clock. None at the source's end.
         """
         source, state = self.source, self.controls.state(time_ns)
         if state.mode is not self.pipeline.mode:
@@ -246,7 +246,7 @@ class Inputs:
         return current, level
 
     def _look_for_ink(self, time_ns: int) -> None:
-        """Say once that a pressing finger sees no ink, so that silence has a reason."""
+        """Advise the user once if a pressing finger sees no ink, as nothing can be felt then."""
         if self._inkless_since_ns is None:
             self._inkless_since_ns = time_ns
         elif time_ns - self._inkless_since_ns >= NO_INK_NS:
@@ -255,15 +255,15 @@ class Inputs:
             self.emit(Advice(time_ns, words))
 
     def begins_at_zero(self, time_ns: int, now_ns: int) -> bool:
-        """Return whether intensity will begin at zero with the input that is read next."""
+        """Return whether intensity will restart at zero with the next input."""
         state, before = self.controls.state(time_ns), self._before
         same = before is not None and (state.mode, state.paused) == (before.mode, before.paused)
         return not same or self.board.lifted or now_ns < self._lifted_until_ns
 
     def force_n(self, current: Input, time_ns: int) -> float:
-        """Return the force that counts, NaN if unknown; a force on the board may lower it.
+        """Return the effective force, NaN if unknown; the board's own force may lower it.
 
-        On a board that a finger may be on, only force of that finger counts.
+        On a board that may have a finger on it, only the force of that finger counts.
         """
         on_board, virtual = self.board.force_n, not self.board.on_a_finger
         if self.force is not None:
@@ -279,7 +279,7 @@ class Inputs:
         return min(force_n, on_board)
 
     def _say_changes(self, state: ControlState, time_ns: int) -> None:
-        """Emit what has changed of what the user asks for."""
+        """Emit events for all changes of the user's controls."""
         before, self._before = self._before, state
         if before is None or state.level != before.level:
             self.emit(IntensityChanged(time_ns, state.level))
@@ -290,7 +290,7 @@ class Inputs:
             self.emit(ModeChanged(time_ns, state.mode))
 
     def _handle_lift(self, time_ns: int, now_ns: int) -> None:
-        """Keep intensity at zero for a while after the board found the finger lifted."""
+        """Keep intensity at zero for `LIFT_NS` after the board has detected a lifted finger."""
         if self.board.lifted and now_ns >= self._lifted_until_ns:
             # Only a pulse can show whether the finger is back: try again, from zero.
             self.board.lifted = False
@@ -301,7 +301,7 @@ class Inputs:
             self.begin_at_zero()
 
     def begin_at_zero(self) -> None:
-        """Close the level that is open: intensity rises from zero again."""
+        """Reset the ramp: intensity rises from zero again."""
         self.pipeline.restart_softly()
         self.board.close_level()
 
@@ -352,8 +352,8 @@ class Loop:
         self._may_stall = not board.simulated_time
         self._seconds = seconds
         self._start_ns: int | None = None
-        # By the loop's clock: start of the run, moved later by each delay; end of the last
-        # sequence. In time of the run: when a late sequence is reported again.
+        # _zero_ns, _over_ns: loop's clock at the run's start, moved later by each delay, and at
+        # the end of the last sequence. _report_late_ns: earliest run time of the next late report.
         self._zero_ns = self._over_ns = self._report_late_ns = 0
         self._expected_ns: int | None = None
 
@@ -366,7 +366,7 @@ class Loop:
 
     @contextmanager
     def steady(self) -> Iterator[None]:
-        """Plan from now, and use real-time priority during the block if allowed."""
+        """Plan from the current time; use real-time priority during the block if allowed."""
         with prioritized() if self._may_stall else contextlib.nullcontext(False) as real_time:
             if self._start_ns is None:
                 self.inputs.statistics.real_time = real_time
@@ -376,7 +376,7 @@ class Loop:
             yield
 
     def resume(self) -> None:
-        """Plan from now, after a time without sequences."""
+        """Plan from the current time, after a pause without sequences."""
         if self._start_ns is None:
             self._start_ns = self._zero_ns = self._clock.now_ns()
         elif (idle_ns := self.time_ns() - self.elapsed_ns) > 0:
@@ -417,7 +417,7 @@ class Loop:
         board_ns, now_ns = board.clock.now_ns(), clock.now_ns()
         since_ns, deadline_ns = now_ns - (self._start_ns or 0), self._zero_ns + self.elapsed_ns
         inputs.statistics.seconds = since_ns / 1e9
-        # The pause for the skin began at the end of the last sequence, whatever the schedule.
+        # The skin has been without current since the last sequence ended, whatever the schedule.
         waits_ns = max(0, now_ns - deadline_ns, now_ns - self._over_ns if self._over_ns else 0)
         if waits_ns > LATE_NS and self._may_stall:
             # After a stall, plan again from now.
@@ -469,7 +469,7 @@ class Loop:
         self.inputs.pipeline.restart_softly()
 
     def _plan_next(self, result: StepResult, sent: Sent, now_ns: int) -> None:
-        """Add a step to the statistics, and move the schedule by its delays."""
+        """Add a step to the statistics, and move deadlines later by its delays."""
         statistics, phase = self.inputs.statistics, self._phase
         if result.number is None:
             self._zero_ns += sent.sent_ns - now_ns
@@ -480,8 +480,8 @@ class Loop:
             expected_ns, late_ns = self._expected_ns, now_ns - sent.deadline_ns
             error_us = None if expected_ns is None else abs(now_ns - expected_ns) / 1000
             statistics.enter(result, error_us)
-            # After a wait for the board, move deadlines later: frames are fresher and arrive at the
-            # same time.
+            # After a wait for the board, move deadlines later: sequences then arrive at the same
+            # time, made from fresher frames.
             self._zero_ns += sent.waited_ns
             if late_ns > sent.period_ns:
                 statistics.late += 1

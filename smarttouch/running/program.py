@@ -402,8 +402,8 @@ class Program(Source, Listener):
 
     @contextmanager
     def _turn(self, waits: bool = True) -> Iterator[Loop]:
-        """Wait until no other thread shows something; go on from now. What was put is not shown
-        while a thread ``waits``."""
+        """Wait until no other thread shows a pattern, and plan from the current time. Patterns that
+        were put are not shown while a thread ``waits``."""
         waiting = [object()] * waits
         self._waiting.extend(waiting)
         self._news.set()

@@ -1,4 +1,4 @@
-"""Statistics of a run in constant memory, its figures, and the phase lock that follows them."""
+"""Statistics of a run in constant memory, and the phase lock of its loop to the board."""
 
 import math
 from collections import deque
@@ -98,7 +98,7 @@ class RunStatistics:
     asked_us: int = 0
     """Total requested duration of sent sequences."""
     latency: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """From the input in hand to the last byte written."""
+    """Time from reading the input to the last byte written."""
     motion_to_bytes: LatencyHistogram = field(default_factory=LatencyHistogram)
     """Time from the capture of the image to the last byte written."""
     first_pulse: LatencyHistogram = field(default_factory=LatencyHistogram)
@@ -216,11 +216,11 @@ class RunStatistics:
         }
 
 
-GUARD_NS = 500_000  # time kept beside the usual delay of a sequence
+GUARD_NS = 500_000  # safety margin in addition to the typical delay
 _IDLE_NS = 1_000_000
-"""Pause of the board from which a sequence counts as late; below, the board itself may be."""
-_OF_20 = 20  # one sequence in so many may come late
-_REMEMBERED = 250  # sequences for which it is remembered what the line took
+"""Smallest pause of the board that shows a late sequence; shorter ones may be its own."""
+_OF_20 = 20  # one of this many sequences may come late
+_REMEMBERED = 250  # number of sequences for which transfer times are remembered
 
 
 @dataclass(frozen=True)
@@ -228,22 +228,22 @@ class Sent:
     """Sequence that was sent; times by the loop's clock."""
 
     number: int
-    taken_ns: int  # when its image was taken
+    taken_ns: int  # capture time of its image
     deadline_ns: int
     elapsed_ns: int  # time of the run at its deadline
-    waited_ns: int  # for a place on the board, where that was the board's doing
+    waited_ns: int  # wait for space on the board; 0 if the board was not the cause
     sent_ns: int
     period_ns: int
-    ahead_ns: int  # of the board's clock, of the loop's
+    ahead_ns: int  # time by which the board's clock is ahead of the loop's
 
 
 class PhaseLock:
-    """Shift of a loop's deadlines by the times at which a board says it began earlier sequences.
+    """Moves a loop's deadlines later, so that images are as fresh as the board's reports allow.
 
-    A sequence is complete some delay after its deadline. Deadlines move later until they lie
-    before the board's need by the delay that 19 of 20 of the last ones had, what the line takes,
-    and `GUARD_NS`: images are as fresh as they can be. They never move earlier: a sequence that
-    comes late makes the board wait, and thereby moves all its later needs.
+    A sequence is complete a delay after its deadline. A deadline lies before the time at which the
+    board needs the sequence by the delay that 19 of 20 recent sequences kept, the transfer time,
+    and `GUARD_NS`. Deadlines never move earlier: a late sequence makes the board wait, and so moves
+    all later needs of the board.
     """
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:
@@ -251,15 +251,15 @@ class PhaseLock:
         self._pending: deque[Sent] = deque(maxlen=8)
         self._delays_ns: deque[int] = deque(maxlen=64)
         self._lines: deque[tuple[int, int]] = deque(maxlen=8)
-        """Of sequences for which the board waited: number, and from last byte to start, ns."""
+        """Number and transfer time, ns, of each sequence for which the board waited."""
         self._free_ns: int | None = None
-        """When the board was free after the newest sequence whose start is known."""
+        """Time at which the board was free after the newest sequence whose start is known."""
         self.newest: FirstPulse | None = None
-        """Of the newest sequence whose start has become known since the step before."""
+        """First pulse of the newest sequence whose start became known since the last step."""
 
     def follow(self, zero_ns: int, sent: Sent | None = None) -> int:
-        """Note what was sent, and return by how much deadlines move later; the run's time is now 0
-        at ``zero_ns`` of the loop's clock."""
+        """Store the sent sequence, and return by how much deadlines move later. Run time is 0 at
+        ``zero_ns`` of the loop's clock."""
         if sent is not None:
             self._delays_ns.append(sent.sent_ns - sent.waited_ns - sent.deadline_ns)
             self._pending.append(sent)
@@ -277,7 +277,7 @@ class PhaseLock:
             self._statistics.waited.add(waited_ns / 1000)
             while self._lines and self._lines[0][0] < number - _REMEMBERED:
                 self._lines.popleft()
-            # What the line usually takes, from two sequences on: one may have been held up.
+            # Typical transfer time, from two sequences on: one may have been delayed.
             lines, line_ns = sorted(self._lines, key=itemgetter(1)), 0
             if len(lines) > 1:
                 line_ns = lines[(len(lines) - 1) // 2][1]
@@ -285,13 +285,13 @@ class PhaseLock:
                 self._lines.append((number, waited_ns))
                 line_ns = max(line_ns, waited_ns)
             self._free_ns = begun_ns + earlier.period_ns
-            # The delay that 19 of 20 keep.
+            # the delay that 19 of 20 sequences keep
             usual_ns = sorted(self._delays_ns)[-1 - len(self._delays_ns) // _OF_20]
             room_ns = begun_ns - zero_ns - earlier.elapsed_ns
             more_ns = max(0, room_ns - line_ns - usual_ns - GUARD_NS)
         return more_ns
 
     def forget(self) -> None:
-        """Discard what was sent: the board was lost."""
+        """Discard the sent sequences after the board was lost."""
         self._pending.clear()
         self._free_ns = None

@@ -61,7 +61,7 @@ class FirstPulse:
     latency_us : float, µs
         Time from the capture of its image to its first pulse.
     waited_us : float, µs
-        Time from its last byte written to its first pulse.
+        Time from the last byte written to the first pulse.
     """
 
     number: int
@@ -79,11 +79,11 @@ class StepResult:
     number : int or None
         Number of the sequence on its board; None if it was lost with the board.
     latency_us : float
-        From the input in hand to the last byte written.
+        Time from reading the input to the last byte written.
     work_us : float
         Processor time of the loop.
     acknowledged, refused : int
-        Numbers of sequences that the board had begun to deliver, and had refused.
+        How many sequences the board had begun to deliver, and how many it had refused.
     clock_ns : int
         Real time since the start of the run at which the step began, including all delays; -1 if
         unknown.

@@ -19,10 +19,10 @@ FASTEST_FALL = 0.8
 FASTEST_RISE = 1.05
 """Largest ratio of a site's currents between observations: 0.3 s from half to full at 50 Hz."""
 RESERVED = 0.5
-"""Initial share of the requested current when energy is held. It leaves room up to a quarter of the
-impedance, as currents never exceed the request."""
+"""Initial share of the requested current if energy is held constant. Currents never exceed the
+request, so impedance can fall to a quarter before they reach it."""
 FAINTEST_ENERGY = RESERVED / 4
-"""Smallest share of the current when energy is held, at 16 times the first impedance."""
+"""Smallest share of the requested current for constant energy: at 16 times the first impedance."""
 WORTHWHILE = 0.999  # factors above this are not applied
 
 Array = NDArray[np.float64]

@@ -30,7 +30,7 @@ def probe_sequences(
 
     Each slot drives an electrode against all others, or in pairs against one near it, so that each
     electrode carries equal charges of both signs in a scan. Masked electrodes carry nothing, as an
-    open one would saturate the voltage. The rise is within the ramp if each scan is delivered
+    open one would saturate the voltage. The ramp limit is kept if each scan is delivered
     completely.
     """
     most_ma = min(limits.current_ma, limits.full_ma, *(limits.electrode_ma or ()))

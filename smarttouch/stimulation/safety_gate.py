@@ -83,9 +83,9 @@ class Ramp:
         self._claimed_ppb = ppb if strength_ppb else min(ppb, self._claimed_ppb)
 
     def open_at(self, claimed_ns: int, kept_ns: int = LEVEL_KEPT_NS) -> tuple[int, int]:
-        """Return the time of a sequence now, and the level at that time, without the allowance for
-        catching up."""
-        # A clock that goes back counts as standing still.
+        """Return the start time of a sequence that begins now, and the level that the ramp has
+        opened by then, without the allowance for catching up."""
+        # If the clock goes back, treat it as stopped.
         clock_ns = claimed_ns if self._clock is None else self._clock.now_ns()
         now_ns = max(clock_ns, self._newest_ns)
         gone_ns = now_ns - self._since_ns

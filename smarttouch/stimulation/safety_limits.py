@@ -293,10 +293,10 @@ def parts_per_billion(intensity: float) -> int:
 
 
 _SENTENCES = {
-    "electrodes": "currents are of {value} electrodes, must be of {allowed}",
+    "electrodes": "currents are for {value} electrodes, must be for {allowed}",
     "intensity": "intensity {value} must lie between 0 and {allowed}",
     "time_ns": "time {value} ns must be from 0 to below {allowed}",
-    "vibration": "vibration is of {value} electrodes, must be of {allowed}",
+    "vibration": "vibration has {value} values: give one for each of {allowed} electrodes",
     "vibrates": "vibration of {value:g} is not between 0 and the intensity {allowed:.3f} that was "
     "stated",
     "rate_hz": "a period of {value} µs is not from {allowed} µs, by the rate, to a minute",

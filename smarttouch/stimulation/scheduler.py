@@ -43,7 +43,7 @@ from smarttouch.stimulation.slots import FrameSlots, PointSlots, Slots, constant
 WINDOW_US = 1_100_000
 """Window over which net charge is planned: boards may count a second in tenths."""
 GUARD_PC = 0.95 * NET_PC
-"""Largest planned net charge of any number of latest passes."""
+"""Largest planned net charge of the latest passes, however many."""
 _MEAN_PC = PLANNED * NET_PC
 _FREE_PC = NET_PC / 2
 _MOST_PC = 0.99 * NET_PC
@@ -88,7 +88,7 @@ def rates_of(
     profile: Profile, afferents: tuple[Afferent, ...], rate_hz: float | None, timing: ScanTiming
 ) -> dict[Afferent, float]:
     """Return the pulse rate of each class, Hz: `rate_hz` for one class, the profile's rates for
-    two, none for three, whose stimuli set the time."""
+    two. Empty for three classes: their stimuli set the times of pulses."""
     pulse, limits = profile.pulse, profile.limits
     rates_hz = {afferents[0]: pulse.rate_hz if rate_hz is None else rate_hz}
     if Afferent.PC in afferents and len(afferents) > 1:
@@ -420,8 +420,8 @@ class ScanScheduler:
         return tuple(active)
 
     def _require_exposure_of_all(self) -> None:
-        """Raise ScheduleError if all points in separate slots exceed the limits of pulses and
-        charge."""
+        """Raise ScheduleError if all points of a frame together, each in its own slot, exceed the
+        limits of pulses and charge."""
         sums = np.zeros((3, self._electrodes))
         for maker in self._makers.values():
             if isinstance(maker, PointSlots):

@@ -55,7 +55,7 @@ _ROUNDING = 0.99
 class FrameSlots:
     """Maker of slots in which independent sites share a slot.
 
-    A shared slot is a sum of kernels, of which each subset keeps the profile's bounds on off-target
+    A shared slot is a sum of kernels. Each subset of them keeps the profile's bounds on off-target
     and spill. Points without proof have separate slots. So do all points at intensities below
     `certain_from`, where nothing is felt and rounding could exceed a bound. Raises ScheduleError if
     the board has a single source, or if the profile does not limit total current.
@@ -126,7 +126,7 @@ class FrameSlots:
         asked = activation if intensity > 0 else 0 * activation
         if self._perceived_at is not None:
             asked = np.append(asked, np.float32(0))[self._perceived_at]
-        # At the lower aim the faintest points would not be felt.
+        # Shared slots scale levels by aim: divide by it, so that the faintest points are felt.
         level = (self._range * asked + self._faintest) * (asked > 0) / self._aim
         level = np.minimum(level, 1.0, out=level)
         kernel, points = self._shared(level) if intensity >= self.certain_from else (_NONE, [])

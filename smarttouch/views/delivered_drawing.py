@@ -134,7 +134,7 @@ class DeliveredDrawing(ABC):
 
     @abstractmethod
     def under(self) -> Under:
-        """Return the picture of what was touched. Raises SmartTouchError if nothing was."""
+        """Return the picture of the touched area. Raises SmartTouchError if nothing was touched."""
 
     def watch(self, sent: StepResult) -> None:
         """Record the pose and the duration of a step."""

@@ -64,7 +64,7 @@ class Output:
         if self.number is not None:
             self.waiting += text.encode(self._stream.encoding or "utf-8", "backslashreplace")
         else:
-            # As bytes: what a terminal has taken may end within a sign.
+            # Write bytes: the terminal may accept only the first bytes of a character.
             while self.waiting:
                 del self.waiting[: os.write(self._stream.fileno(), self.waiting)]
             self._stream.write(text)
@@ -87,7 +87,7 @@ class Output:
             self.waiting.clear()
 
     def close(self) -> None:
-        """Write at once from now on, beginning with the buffer."""
+        """Write the buffer, and all later output at once."""
         number, self.number = self.number, None
         if number is not None:
             os.close(number)
@@ -125,7 +125,7 @@ class Terminal:
             self._thread.start()
 
     def close(self, patience_s: float = 0.0) -> None:
-        """Draw and send the rest within ``patience_s``, and restore the terminal."""
+        """Draw and send the remaining output within ``patience_s``; restore the terminal."""
         self._over.set()
         if self._thread.ident is not None:
             self._thread.join(patience_s)
@@ -172,7 +172,7 @@ def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
 
 
 def _pass_keys(number: int, on_key: Callable[[str], None]) -> bool:
-    """Pass on pressed keys; return whether more may follow."""
+    """Pass on pressed keys; return whether more keys may follow."""
     try:
         data = os.read(number, 64)
     except OSError:

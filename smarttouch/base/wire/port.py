@@ -197,11 +197,11 @@ def write_before(
 
 
 def _other(name: str) -> OtherDeviceError:
-    return OtherDeviceError(f"by its USB numbers another device is at {name}: nothing was sent")
+    return OtherDeviceError(f"{name} has the USB identity of another device: nothing was sent")
 
 
 def reason(error: Exception) -> str:
-    """Return the reason of an error on a line, as text."""
+    """Return the reason for an error of a port, as text."""
     if "multiple access" in str(error):
         return "it is disconnected, or another program reads from it: close that program"
     number = getattr(error, "errno", None)

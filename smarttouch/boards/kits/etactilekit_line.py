@@ -91,9 +91,9 @@ AT_REST = (
     b"\xfc\0" + _END, NO_SENSE, b"\xfb\0\0" + _END, b"\xfa\x01\0" + _END,
     b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
 )  # fmt: skip
-"""Sets each published firmware to zero: no electrodes, no sense pulses, zero height (or mode 0),
-shortest pulses, ten scans a second. Other known boards do not interpret these bytes as a query or
-pattern."""
+"""Commands that set any published firmware to zero: no electrodes, no sense pulses, zero height (or
+mode 0 in newer firmware), shortest pulses, 10 scans per second. No other known board takes these
+bytes for a query or a pattern."""
 QUIET = b"\xfb\x02\xfb\x02"  # stops pulses at the next scan
 LOAD = b"\xfb\x02\xfe"  # begins a pattern, with pulses stopped
 GO = b"\xfb\0"  # starts pulses at the next scan
@@ -212,7 +212,7 @@ class ETactileKitLine:
                 "71adee2, or damaged: flash the newest one of the kit's repository, "
                 "aid-lab-org/eTactileKit"
             )
-        # Turn off sense pulses, on which the guard of changes relies.
+        # Turn off sense pulses: the guard against changes relies on their absence.
         electrodes = bytes([0xFC, self.outputs])
         if line.ask(QUIET + NO_SENSE + electrodes + PING, 1, ECHO_S) != self._echo:
             raise line.lost("does not echo its number of electrodes")
@@ -269,7 +269,7 @@ ENDS_WITHIN_S = 1.5  # longest wait for the watchdog: zero for 253 outputs takes
 KEPT_MS = 100.0  # longest time from the end or hang of this program to the first byte of zero
 STALE_NS = int(0.8e9 * watchdog.SILENCE_S)
 """Time since the last heartbeat after which this program stops writing. The watchdog waits longer,
-so no byte can follow its zero."""
+so no byte of this program can arrive after the zero that the watchdog writes."""
 COMMAND = [sys.executable, "-I", "-S", watchdog.__file__]
 """Command of the watchdog, in isolated mode, so that user settings or packages cannot prevent its
 start."""

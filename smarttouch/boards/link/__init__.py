@@ -39,9 +39,9 @@ CAPABILITIES = struct.Struct("<HBBHHHHIIH")
 packet, largest number of kernels. The firmware's name follows."""
 ALIVE = struct.Struct("<h")
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
-"""Shortest period µs, total µA, width µs, full µA, rounding µA, full µs, ramp ms, session s,
-session µC, duty %, 0, width of a full pulse µs. For each electrode follow u16 µA, u16 perceptible
-µA, u32 pC."""
+"""Shortest period µs, total µA, longest pulse µs, full current µA, rounding µA, 0, ramp ms, session
+s, session µC, duty %, 0, width of a pulse at full current µs. For each electrode follow u16 largest
+current µA, u16 perceptible current µA, u32 largest charge pC."""
 SEQUENCE = struct.Struct("<IHHBB")  # period µs, times, intensity, flags, number of pulse shapes
 GROUP = struct.Struct("<BBH")  # kind, pulse shape and number of slots
 POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups
@@ -61,7 +61,7 @@ NOTHING = 0xFFFF  # no slot or electrode; as a slot, the recharge phase
 
 
 def digest_of(data: bytes, session: int | None = None) -> bytes:
-    """Return the identity of kernels, or the proof for a session that they are stored."""
+    """Return the identity of kernels; with ``session``, the proof that a board stores them."""
     head = b"" if session is None else session.to_bytes(8, "little")
     return hashlib.sha256(head + data).digest()[:16]
 

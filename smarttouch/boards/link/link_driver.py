@@ -250,7 +250,7 @@ class LinkSession:
         return taken
 
     def refuse(self) -> None:
-        """Count a refused packet, unless it is from an earlier run, before CAPABILITIES."""
+        """Count a refused packet, but not before CAPABILITIES: it may be from an earlier run."""
         self.refused += self.number > HALF
 
     def _accept_offer(self, offer: Message) -> bool:
@@ -286,7 +286,7 @@ class SentPart(NamedTuple):
 
 
 class LinkDriver(Driver):
-    """Driver of a board at a serial port: ``link:PORT``, a device or a URL of pyserial."""
+    """Driver of a board at ``link:PORT``; PORT is a serial device or a URL of pyserial."""
 
     keeps_kernels: ClassVar[bool] = True
     _line: Line

@@ -33,7 +33,7 @@ class KernelImage:
     """Kernels of a run, encoded for a board."""
 
     table: KernelTable
-    count: int  # number of kernels that fit on the board, the first of the table
+    count: int  # number of kernels that fit on the board: the first ones of the table
     data: bytes
     identity: bytes
 
