@@ -17,7 +17,7 @@ import smarttouch as st
 from smarttouch.base.afferent import Mode
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import load_bank
-from smarttouch.pages.text_lines import find_lines
+from smarttouch.pages.prepared_page import find_lines
 from smarttouch.reading.legibility import LineDelivery, legibility_of_shapes
 from smarttouch.reading.letter_shapes import Shapes
 from smarttouch.reading.material import ReadingMaterial

@@ -34,12 +34,11 @@ class LineCueMapper(TactileMapper):
         self._border = driven[y_mm == rows[0]], driven[y_mm == rows[-1]]
         width_mm, height_mm = (side / optics.magnification for side in electrodes.extent_mm)
         middles = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
-        x, y = np.meshgrid(middles * width_mm, middles * height_mm)
-        turn = np.radians(_ANGLES_DEG)[:, None, None]
-        cos, sin = np.cos(turn), np.sin(turn)
-        places = on_frame(x * cos - y * sin, x * sin + y * cos, optics)
+        place = middles * width_mm + 1j * middles[:, None] * height_mm
+        turned = place * np.exp(1j * np.radians(_ANGLES_DEG))[:, None, None]
+        places = on_frame(turned.real, turned.imag, optics)
         height, width = self._registration.working_shape
-        column, row = (np.nan_to_num(place).clip(0, 1 - 1e-9) for place in places)
+        column, row = (np.nan_to_num(side).clip(0, 1 - 1e-9) for side in places)
         self._pixel = (row * height).astype(np.intp) * width + (column * width).astype(np.intp)
         self._step_mm = height_mm / _SAMPLES
         self._x_rows = 0.4 * _SAMPLES  # mean x-height
@@ -59,6 +58,7 @@ class LineCueMapper(TactileMapper):
         rows differ most."""
         turned = self._inked.reshape(-1).take(self._pixel).mean(axis=2, dtype=np.float32) / 255
         steepest = int(np.square(np.diff(turned)).sum(axis=1).argmax())
+        angle_deg = float(_ANGLES_DEG[steepest])
         smooth = np.convolve(turned[steepest], (1 / 3, 1 / 3, 1 / 3), "same")
         dark = smooth > max(0.05, 0.5 * np.partition(smooth, -4)[-4])
         lines: list[tuple[float, float, float]] = []
@@ -69,6 +69,6 @@ class LineCueMapper(TactileMapper):
             # A line that is cut by the lower edge has its baseline below it.
             base = end if end < _SAMPLES else first + max(self._x_rows, end - first)
             if 1 < end - first < _SAMPLES:
-                line_mm = np.array([base - _SAMPLES / 2, self._x_rows]) * self._step_mm
-                lines.append((*line_mm.tolist(), float(_ANGLES_DEG[steepest])))
+                baseline_mm = (base - _SAMPLES / 2) * self._step_mm
+                lines.append((baseline_mm, self._x_rows * self._step_mm, angle_deg))
         self.line = min(lines, key=lambda line: abs(line[0] - line[1] / 2), default=None)

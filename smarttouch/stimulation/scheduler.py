@@ -338,8 +338,7 @@ class ScanScheduler:
         if slots:
             sums = add_up(parts.current_ua, parts.width_us, self._limits.felt_ua)[0]
             # the shortest period allowed by the limits of pulses and charge
-            largest = float(np.maximum.reduce(sums[:2], axis=None))
-            exposed_us = math.ceil(largest / (PLANNED * MOST_PER_US))
+            exposed_us = math.ceil(sums[:2].max() / (PLANNED * MOST_PER_US))
             if exposed_us > BURST_US:
                 raise _overexposed(exposed_us)
             least_us, mean_us = max(least_us, exposed_us), pulses_us / slots

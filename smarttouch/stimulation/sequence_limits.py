@@ -56,12 +56,9 @@ def add_up(
     S > 0; widths are (S,). Pulses from ``felt_ua``, (E,), are perceptible.
     """
     currents, widths = current_ua.astype(np.float64), width_us.astype(np.float64)
-    magnitudes, sums = np.abs(currents), np.empty((3, currents.shape[1]))
-    np.add.reduce(magnitudes >= felt_ua, axis=0, out=sums[0])
-    np.matmul(widths, magnitudes, out=sums[1])
-    np.matmul(widths, currents, out=sums[2])
-    sums[0] *= PER_PULSE
-    sums[1] *= PER_PC
+    magnitudes = np.abs(currents)
+    felt = PER_PULSE * np.add.reduce(magnitudes >= felt_ua, axis=0)
+    sums = np.array([felt, PER_PC * (widths @ magnitudes), widths @ currents])
     return sums, currents, magnitudes
 
 

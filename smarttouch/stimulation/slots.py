@@ -2,7 +2,7 @@
 
 import math
 from functools import lru_cache
-from itertools import accumulate
+from itertools import accumulate, chain
 from typing import NamedTuple
 
 import numpy as np
@@ -183,13 +183,8 @@ class FrameSlots:
             else:
                 slots.append([kernel])
                 sums_ma.append(total_ma)
-        kernels: list[int] = []
-        lengths: list[int] = []
-        for shared in slots:
-            if len(shared) > 1:
-                kernels += shared
-                lengths.append(len(shared))
-        return np.array(kernels, np.intp), lengths
+        shared = [kernels for kernels in slots if len(kernels) > 1]
+        return np.array([*chain.from_iterable(shared)], np.intp), [*map(len, shared)]
 
 
 def _coarse(profile: Profile) -> Profile:

@@ -3,12 +3,9 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import TYPE_CHECKING
+from typing import Any
 
 from smarttouch.views import terminal
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
 
 _LINE_S = 10.0
 Advance = Callable[[int, int], None]  # called with the numbers done and in all
@@ -22,7 +19,7 @@ def bank_progress() -> AbstractContextManager[Advance]:
 @contextmanager
 def progress(title: str = "Reading lines") -> Iterator[Advance]:
     """Show progress; yield the function to call."""
-    bar: Progress | None = None
+    bar: Any = None  # a Progress of rich
     begun_s = printed_s = time.monotonic()
 
     def advance(done: int, total: int) -> None:

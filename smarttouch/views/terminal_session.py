@@ -118,10 +118,9 @@ def _operated(
         return config, controls
 
     def limited(state: ControlState, modes: tuple[Mode, ...]) -> Controls:
-        limited_controls = controls(state, modes)
-        if config.intensity is not None:
-            limited_controls.most = config.intensity
-        return limited_controls
+        ours = controls(state, modes)
+        ours.most = ours.most if config.intensity is None else config.intensity
+        return ours
 
     return (config.model_copy(update={"intensity": 0.0}) if steered else config), limited
 
