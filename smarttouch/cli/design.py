@@ -129,6 +129,7 @@ def show(
     ] = False,
 ) -> None:
     """Print all values of a profile, including defaults and calibrations."""
+    from smarttouch.base.errors import ProfileError
     from smarttouch.base.files import write_bytes
     from smarttouch.kernels import circuit_board
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
@@ -143,12 +144,17 @@ def show(
     if kicad is not None:
         circuit_board.write_kicad(chosen, kicad)
     if levels is not None:
-        from smarttouch.physiology.settled_levels import plot_levels
+        from smarttouch.profile.settled_levels import read_levels
         from smarttouch.views.figure_style import new_figure, plain, save
 
+        if not (log := read_levels(chosen)):
+            raise ProfileError(f"{chosen.name} has no logged level: keep one on a board for 10 s")
         figure = new_figure(6, 3)
         plain(axes := figure.subplots(), chosen.name, "time, UTC", "comfortable current, mA")
-        plot_levels(axes, chosen)
+        for mode in dict.fromkeys(settled.mode for settled in log):
+            kept = [(settled.time, settled.current_ma) for settled in log if settled.mode == mode]
+            axes.plot(*zip(*kept, strict=True), "o-", label=mode)
+        axes.legend(fontsize=7)
         save(figure, levels)
     typer.echo(as_toml(chosen), nl=False)
 

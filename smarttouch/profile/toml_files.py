@@ -1,5 +1,6 @@
 """Loading of profiles by name and from TOML files."""
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,9 +57,8 @@ def load_profile(name: str | Path | Profile) -> Profile:
     skin, small = profile.skin, len(profile.electrodes) <= MOST_FINE
     if skin.medium != "plane" and skin.node_spacing_mm > COARSEST_MM and small:
         raise ProfileError(
-            f"{path}: skin.node_spacing_mm {skin.node_spacing_mm:g} is of older profiles: between "
-            "such places other classes get up to a third more than is bounded; set it to 0.1 (at "
-            f"most {COARSEST_MM:g}), and kernels are designed again",
+            f"{path}: skin.node_spacing_mm {skin.node_spacing_mm:g} is too coarse: between nodes "
+            f"other classes get a third more; set it to 0.1 (at most {COARSEST_MM:g})",
             key="skin.node_spacing_mm",
         )
     return profile
@@ -69,7 +69,7 @@ def profile_path(name: str | Path) -> Path:
     path = data_folder("calibration") / f"{name}.toml"
     if str(name) not in list_profiles():
         path = Path(str(name))
-        if not _is_there(path):
+        if not os.path.exists(path):  # noqa: PTH110, Path.exists raises for long names
             raise ProfileError(
                 f"no profile {str(name)!r}: give a TOML file or one of "
                 f"{', '.join(list_profiles())}",
@@ -94,14 +94,6 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
     beside = str(path.parent / profile.optics.flat_field)
     optics = profile.optics.model_copy(update={"flat_field": beside})
     return profile.model_copy(update={"optics": optics})
-
-
-def _is_there(path: Path) -> bool:
-    try:
-        return path.exists()
-    except OSError:
-        # Reading the file raises the proper error.
-        return True
 
 
 CALIBRATED_KEYS: dict[str, tuple[str, ...]] = {

@@ -16,8 +16,8 @@ from smarttouch.base.events import Advice
 from smarttouch.base.files import write_json
 from smarttouch.base.stopping import StopRequest
 from smarttouch.kernels.bank import KernelBank, load_bank
-from smarttouch.physiology.settled_levels import SettledLevels
 from smarttouch.profile import Profile
+from smarttouch.profile.settled_levels import SettledLevels
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.loop import STEP, Controls, ControlState

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Mode
-from smarttouch.physiology.settled_levels import levels_file
 from smarttouch.profile import load_profile
+from smarttouch.profile.settled_levels import levels_file
 from smarttouch.running.recording import RecordedRun
 
 from ..boards.fresh import until
@@ -66,8 +66,10 @@ def test_the_last_comfortable_level_is_reached_by_a_key(
     _, port, _ = start_emulator()
     log = levels_file(profile := load_profile("electric-mouse"))
     log.parent.mkdir(parents=True)
+    current_ma = 0.45 * float(profile.full_ma.max())
     log.write_text(
-        json.dumps({"mode": "RA", "current_ma": 0.45 * float(profile.full_ma.max())}) + "\n"
+        f'{{"time": "2026-01-02T03:04:05Z", "mode": "RA", "level": 0.45, "force_n": 0.8, '
+        f'"current_ma": {current_ma}, "kohm": null}}\n'
     )
     board = ("--board", f"link:{port}", "--force", "fixed:1", "--intensity", "0.6")
     process, keys = start_at_a_terminal(*RUN, *board)
@@ -86,6 +88,10 @@ def test_the_last_comfortable_level_is_reached_by_a_key(
     # On a busy machine late sequences let it begin at zero again.
     assert 0.1 < max(flowing) <= 0.45
     assert np.diff(flowing).max() < 0.1
+    for profile_name, status in (("electric-mouse", 0), ("kajimoto-61", 2)):
+        show = [PROGRAM, "profiles", "show", profile_name, "--levels", "drift.png"]
+        assert subprocess.run(show, cwd=tmp_path, capture_output=True).returncode == status
+    assert (tmp_path / "drift.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("end", ["Esc", "terminal"])

@@ -1,7 +1,5 @@
 """Log of the levels at which a person settled, for each profile and mode."""
 
-import json
-import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,9 +10,21 @@ from platformdirs import user_state_path
 
 from smarttouch.base.errors import ProfileError
 from smarttouch.base.files import make_folder, owner_only, read_text, unwritable
-from smarttouch.profile import Profile
+from smarttouch.profile.profile import Profile
+from smarttouch.profile.toml_tables import Table
 
 SETTLED_NS = 10_000_000_000  # time of touch after which an unchanged level counts as comfortable
+
+
+class SettledLevel(Table):
+    """Comfortable level, its strongest current, and force and impedance at that moment."""
+
+    time: datetime
+    mode: str
+    level: float
+    current_ma: float
+    force_n: float
+    kohm: float | None
 
 
 def levels_file(profile: Profile) -> Path:
@@ -22,29 +32,14 @@ def levels_file(profile: Profile) -> Path:
     return user_state_path("smarttouch", appauthor=False) / "levels" / f"{profile.name}.jsonl"
 
 
-def read_levels(profile: Profile) -> list[dict[str, Any]]:
-    """Return the log: unix_s, mode, level, its current_ma, force_n, and kohm or None."""
+def read_levels(profile: Profile) -> list[SettledLevel]:
+    """Return the log of a profile. Raises ProfileError if it is damaged."""
     path = levels_file(profile)
     lines = read_text(path, ProfileError).splitlines() if path.exists() else []
     try:
-        rows = [dict(json.loads(line)) for line in lines]
-        return [
-            {**row, "mode": row["mode"], "current_ma": float(row["current_ma"])} for row in rows
-        ]
-    except (ValueError, TypeError, KeyError):
+        return [SettledLevel.model_validate_json(line) for line in lines]
+    except ValueError:
         raise ProfileError(f"{path} is damaged: rename it to begin a new log") from None
-
-
-def plot_levels(axes: Any, profile: Profile) -> None:
-    """Plot the drift of the comfortable current in each mode on axes of Matplotlib. Raises
-    ProfileError if the log is empty."""
-    if not (rows := read_levels(profile)):
-        raise ProfileError(f"no level of {profile.name} is logged: keep one on a board for a while")
-    for mode in dict.fromkeys(row["mode"] for row in rows):
-        kept = [row for row in rows if row["mode"] == mode]
-        times = [datetime.fromtimestamp(row["unix_s"], UTC) for row in kept]
-        axes.plot(times, [row["current_ma"] for row in kept], "o-", label=mode)
-    axes.legend(fontsize=7)
 
 
 class SettledLevels:
@@ -55,14 +50,13 @@ class SettledLevels:
 
     def __init__(self, profile: Profile, most: float) -> None:
         self._profile, self._full_ma = profile, float(profile.full_ma.max())
-        shares = {row["mode"]: row["current_ma"] / self._full_ma for row in read_levels(profile)}
-        levels = {mode: round(share, 3) for mode, share in shares.items()}
+        shares = {log.mode: log.current_ma / self._full_ma for log in read_levels(profile)}
         self.offered: dict[str, float] = {
-            mode: level for mode, level in levels.items() if 0 < level <= most
+            mode: round(share, 3) for mode, share in shares.items() if 0 < round(share, 3) <= most
         }
         """Level to offer in each mode."""
         self._asked, self._held_ns, self._time_ns = ("", 0.0), 0, 0
-        self._measured: Sequence[Any] = ()
+        self._kohm: float | None = None
         self._new = ""
 
     def note(
@@ -71,19 +65,22 @@ class SettledLevels:
         """Note a step, with measured sequences and their voltages, (S,) V; return the offer when a
         mode begins, else an empty text."""
         begins = mode != self._asked[0] and mode in self.offered
-        self._measured = observed[-1] if observed else self._measured
+        for sequence, volts in observed:
+            peak_ua = np.abs(sequence.current_ua.astype(np.float64)).max(axis=1, initial=1)
+            kohm = float(np.median(1000 * np.abs(volts) / peak_ua)) if len(volts) else np.nan
+            self._kohm = kohm if np.isfinite(kohm) else None
         held_ns, touches = self._held_ns, level > 0 and force_n >= self._profile.force.contact_n
         goes_on = self._asked == (mode, level)
         self._held_ns = goes_on * (held_ns + touches * (time_ns - self._time_ns))
         self._asked, self._time_ns = (mode, level), time_ns
         if held_ns < SETTLED_NS <= self._held_ns:
-            row = {"unix_s": round(time.time()), "mode": mode, "level": level, "force_n": force_n}
-            row |= {"current_ma": level * self._full_ma, "kohm": _kohm(*self._measured)}
-            self._new += json.dumps(row) + "\n"
-        if not begins:
-            return ""
-        last = f"last time {self.offered[mode]:.2f} was comfortable in mode {mode}"
-        return f"{last}: press L to rise to it"
+            settled = SettledLevel(
+                time=datetime.now(UTC), mode=mode, level=level, force_n=force_n,
+                current_ma=level * self._full_ma, kohm=self._kohm,
+            )  # fmt: skip
+            self._new += settled.model_dump_json() + "\n"
+        offered = f"last time {self.offered.get(mode, 0):.2f} was comfortable in mode {mode}"
+        return f"{offered}: press L to rise to it" if begins else ""
 
     def save(self) -> None:
         """Append the new levels to the log."""
@@ -94,12 +91,3 @@ class SettledLevels:
                 file.write(rows)
         except OSError as failure:
             raise unwritable(ProfileError, path, failure) from None
-
-
-def _kohm(sequence: Any = None, volts: Any = ()) -> float | None:
-    """Return the median over the slots of a measured sequence; None without one."""
-    if not len(volts):
-        return None
-    peak_ua = np.abs(sequence.current_ua.astype(np.float64)).max(axis=1)
-    kohm = float(np.median(1000 * np.abs(volts) / np.maximum(peak_ua, 1)))
-    return kohm if np.isfinite(kohm) else None

@@ -4,15 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from smarttouch.base.errors import ProfileError
-from smarttouch.physiology.settled_levels import (
-    SettledLevels,
-    levels_file,
-    plot_levels,
-    read_levels,
-)
+from smarttouch.profile.settled_levels import SettledLevels, levels_file, read_levels
 
 from ..support.scans import sequence
 
@@ -83,13 +77,9 @@ def test_the_log_has_force_and_impedance_and_is_only_added_to(profile):
     settle(profile, 0.4)
     assert levels_file(profile).read_bytes().startswith(before)
     first, second = read_levels(profile)
-    assert (first["level"], first["force_n"], first["kohm"]) == (0.5, 0.8, pytest.approx(5))
-    assert (second["level"], second["kohm"]) == (0.4, None)
-    axes = Figure().subplots()
-    plot_levels(axes, profile)
-    (line,) = axes.lines
-    full_ma = profile.full_ma.max()
-    np.testing.assert_allclose(line.get_ydata(), [0.5 * full_ma, 0.4 * full_ma])
+    assert (first.level, first.force_n, first.kohm) == (0.5, 0.8, pytest.approx(5))
+    assert first.current_ma == 0.5 * profile.full_ma.max()
+    assert (second.level, second.kohm) == (0.4, None)
 
 
 @pytest.mark.parametrize("text", ["{", "[1]", json.dumps({"mode": "RA"}), '{"current_ma": 1}'])
@@ -99,8 +89,3 @@ def test_a_damaged_log_is_named(profile, text):
         file.write(text)
     with pytest.raises(ProfileError, match="is damaged"):
         SettledLevels(profile, 1.0)
-
-
-def test_an_empty_log_has_no_curve(profile):
-    with pytest.raises(ProfileError, match="no level of electric-mouse"):
-        plot_levels(Figure().subplots(), profile)
