@@ -97,18 +97,6 @@ def test_light_print_is_shown_dark_unless_imaging_knows_of_it(profile, tmp_path)
     np.testing.assert_array_equal(asked.page.grey, 255 - dark.page.grey)
 
 
-def test_a_page_without_a_scale_gets_a_guessed_one_with_a_note(tmp_path, profile):
-    path = tmp_path / "page.png"
-    Image.fromarray(np.full((400, 300), 240, np.uint8)).save(path)
-    source = open_page(str(path), profile)
-    assert source.page.size_mm[0] == pytest.approx(210)
-    (note,) = source.notes
-    assert 210 in numbers_in(note)
-    known = open_page(str(path), profile, page_width_mm=100)
-    assert known.notes == []
-    assert known.page.size_mm[0] == pytest.approx(100)
-
-
 @pytest.mark.parametrize("stated", [{}, {"dpi": (1200, 1200)}])
 def test_a_page_of_unknown_size_has_print_of_a_usual_one(tmp_path, profile, stated):
     line = print_page(["a word or two"], size_pt=11, dpi=150).page.grey
