@@ -1,4 +1,4 @@
-"""Names for packages that provide boards, sources or forces, in addition to the top-level names."""
+"""API for packages that provide boards, sources or forces, in addition to the top-level names."""
 
 from smarttouch.base.errors import LineLostError as LineLostError
 from smarttouch.base.errors import SourceLostError as SourceLostError

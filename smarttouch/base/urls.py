@@ -54,7 +54,7 @@ class Registry:
             return points[name].load(), rest
         except Exception as broken:
             raise self._error(
-                f"{name}: of the package {packages[0]} cannot be loaded "
+                f"the {self._what} {name} of the package {packages[0]} cannot be loaded "
                 f"({type(broken).__name__}: {broken}): repair or remove that package"
             ) from broken
 

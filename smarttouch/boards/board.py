@@ -192,7 +192,7 @@ class Board:
             )
         enter(self)
         try:
-            # A new run starts at zero intensity, and its time may restart.
+            # A new run starts at zero intensity, and its stated times may begin at 0 again.
             self._gate.begin_session()
             self._zeroed = False
             self._stopped.clear()
@@ -533,7 +533,7 @@ class Board:
             self._volts.clear()
             return measure_by_probes(self._probe, self._limits, self._output, self.capabilities)
         finally:
-            # The next run starts at zero, and its time may restart.
+            # The next run starts at zero, and its stated times may begin at 0 again.
             self._gate.restart()
 
     def _probe(self, probe: ScanSequence) -> NDArray[np.float64]:

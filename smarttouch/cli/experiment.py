@@ -80,9 +80,9 @@ def run_listed(
 ) -> None:
     """Run an experiment; repeat the command to continue it.
 
-    The screen names the keys for answers; the keys of live work, too; q ends the session. With
-    free: ↑ ↓ change the amplitude, ← → the rate, [ ] the site, 1 to 9 mark percepts; each change is
-    an event in the recording.
+    The screen names the keys for answers; those of smarttouch live also work; q ends the session.
+    With free: ↑ ↓ change the amplitude, ← → the rate, [ ] the site, 1 to 9 mark percepts; each
+    change is an event in the recording.
     """
     if text is None:
         _list_all()

@@ -145,7 +145,7 @@ def stop(
     for answer in answers:
         typer.echo(f"{answer.sentence}.", err=not answer.at_zero)
     if not answers:
-        typer.echo(f"No run is announced in {registry_folder()}.", err=True)
+        typer.echo(f"No run is registered in {registry_folder()}.", err=True)
     if url is not None:
         _zero(url)
         typer.echo(f"All electrodes of {url} are at zero.")

@@ -155,7 +155,7 @@ def read(
 ) -> None:
     """Read a page with a fingertip, line by line.
 
-    Arrow keys choose a line, r repeats it; the keys of live work, too.
+    Arrow keys choose a line, r repeats it; those of smarttouch live also work.
     """
     from smarttouch.imaging.array_window import profile_for_reading
     from smarttouch.reading.line_source import ReadingSource

@@ -59,7 +59,7 @@ class _AtHand:
     recharge_ns: int | None = None  # start of the recharge phase, until it is recorded
 
     def begin(self, start_ns: int, scan_end_ns: int) -> None:
-        """Begin a pass; a later part of a scan ends with the scan."""
+        """Begin a pass. A part that continues a scan ends when the scan ends."""
         sequence = self.sequence
         lengths = sequence.width_us + sequence.discharge_us
         self.done = 0
@@ -91,7 +91,7 @@ class LinkFirmware(Firmware):
     ) -> None:
         self._electrodes = electrodes = books.electrodes
         self._output, self.books = output, books
-        # The time to check a sequence grows with the electrodes, and is not a delay.
+        # Checks of a sequence take longer with more electrodes; do not count them as delays.
         self.longest_step_ns += 10_000 * electrodes
         self._room = room = room or Room()
         self._rules = LinkRules(electrodes, output, room, ramp_ms)
@@ -161,7 +161,7 @@ class LinkFirmware(Firmware):
             running = self._running
             recharge_ns = None if running is None else running.recharge_ns
             if recharge_ns is not None and recharge_ns <= self._executed_ns:
-                # Do not begin anything due since then; the current phase has lasted until now.
+                # Skip whatever was due in between; the recharge phase has lasted until now.
                 self._executed_ns = now_ns
             self._end(Refusal.EMERGENCY, "emergency", now_ns)
             self._refuse(0, Refusal.EMERGENCY)

@@ -134,8 +134,8 @@ class SessionLimits:
         )  # fmt: skip
 
     def strength(self, intensity: int, peak_pc: int) -> int:
-        """Return the strength of an intensity with this largest charge of a pulse, relative to
-        `FULL`."""
+        """Return the strength, relative to `FULL`, of a sequence with this intensity and this
+        largest charge of a pulse."""
         share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
         return min(FULL, max(share, min(intensity, STRENGTH * share)))
 
@@ -179,7 +179,7 @@ class LastSecond:
         self.session = self.session + load.each
 
     def end(self, end_us: int) -> None:
-        """Mark the executing pass as over since a time."""
+        """Record that the executing pass ended at ``end_us``."""
         if self._running is not None:
             self._over.append((end_us // BUCKET_US, self._running))
             self._running = None
@@ -231,7 +231,7 @@ class LastSecond:
 
 
 def _most_net(window: NDArray[np.int64], net_pc: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the largest net charge of any number of latest passes plus a charge, (E,)."""
+    """Return max |``net_pc`` + net charge of the latest k passes| over all k >= 0, (E,)."""
     runs = np.cumsum([net_pc, *window[:, 2]], axis=0)
     return np.asarray(np.abs(runs).max(axis=0))
 
@@ -260,7 +260,7 @@ class Ramp:
         return max(self._level, risen), on_us
 
     def allowed(self, now_us: int) -> int:
-        """Return the largest allowed strength at a time."""
+        """Return the largest strength allowed at ``now_us``."""
         if not self._ramp_us:
             return FULL
         ahead = CATCH_UP_US * FULL // self._ramp_us

@@ -303,7 +303,7 @@ class Answers:
 def usual_model(
     all_answers: Sequence[Answers],  # one for each standard
     # If None: "equal" if there is a standard or a negative comparison; else 1 / alternatives if
-    # their number is known; else "free" if a comparison is 0, or 0.
+    # their number is known; else "free" if a comparison is 0; else 0.
     guess: Guess | None = None,
     at: float | None = None,  # share of answers at the threshold, see `Model`
 ) -> Model:

@@ -134,7 +134,7 @@ class TactileMapper:
     ) -> None:
         self._profile, self._light_on_dark = profile, light_on_dark
         self._tone = tone = tone or Tone()
-        # On a few numbers, arrays are quicker than plain numbers, and than np.clip.
+        # For small arrays, array bounds in np.minimum are faster than floats or np.clip.
         self._faintest = np.array(tone.faintest, np.float32)
         steepness = 1 / (tone.fullest - tone.faintest) if tone.fullest > tone.faintest else math.inf
         self._steepness, self._none, self._full = np.array((steepness, 0, 1), np.float32)[:, None]
@@ -178,7 +178,7 @@ class TactileMapper:
             np.maximum(ink, self._none, out=ink)
             np.minimum(ink, self._full, out=ink)
         else:
-            # A cell that is just so full, but for what a sum of single precision leaves over.
+            # The tolerance covers rounding errors of the sum in single precision.
             np.greater_equal(ink, self._tone.faintest - 1e-4, out=ink, casting="unsafe")
         if mode is Mode.NATURAL:
             self._natural.drive(activation, ink, frame.time_ns, touching)

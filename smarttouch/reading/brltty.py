@@ -298,7 +298,7 @@ class BrailleDisplaySource(StimulusSource):
             self._go_to(new)
 
     def _step(self) -> int:
-        """Return the column of the text in the middle of the array, at most one behind the text."""
+        """Return the text column in the middle of the array, at most `margin` past the end."""
         moved_s = max(0.0, self._since_s - REST_S)
         step = self._first * self.layout.cell + int(moved_s * self._columns_a_s + 1e-6)
         return min(step, self._dots.shape[1] + self.layout.margin)

@@ -221,8 +221,8 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
 def _most_legible(
     page: Page, prepared: PreparedPage, options: RecognitionOptions
 ) -> tuple[PreparedPage, int]:
-    """Return a page in the orientation in which most of a few lines is recognized, and its rotation
-    in degrees, clockwise."""
+    """Return a page in the orientation in which the most letters of some lines are recognized, and
+    its rotation in degrees, clockwise."""
     best, most_legible = (prepared, 0), _sampled(prepared, options)
     for turn_deg in (90, 180, 270):
         candidate = _turned(page, turn_deg, options)
@@ -239,7 +239,7 @@ def _turned(page: Page, turn_deg: int, options: RecognitionOptions) -> PreparedP
 
 
 def _sampled(prepared: PreparedPage, options: RecognitionOptions) -> float:
-    """Return how much Tesseract recognizes of a few lines of a page."""
+    """Return the number of letters recognized in some lines of a page, weighted by confidence."""
     lines = prepared.lines
     longest = sorted(range(len(lines)), key=lambda k: lines[k].left_mm - lines[k].right_mm)
     sample = sorted({*range(min(_FIRST, len(lines))), *longest[:_LONGEST]})
@@ -261,7 +261,7 @@ def _strip(prepared: PreparedPage, index: int) -> NDArray[np.uint8]:
 
 
 def _legible(read: Iterable[Read]) -> tuple[float, int]:
-    """Return the number of recognized letters weighted by confidence, and their number."""
+    """Return the number of recognized letters, first weighted by confidence, then unweighted."""
     known = list(read)
     return sum(len(text) * sure for text, sure in known), sum(len(text) for text, _ in known)
 

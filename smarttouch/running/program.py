@@ -123,11 +123,11 @@ class Program(Source, Listener):
         self._turns, self._waiting = threading.Lock(), deque[object]()
         self._news, self._put_lock = threading.Event(), threading.Lock()
         self._put: tuple[NDArray[np.float32] | Frame, int, int] = (self._nothing, 0, 0)
-        """The put pattern, its arrival and the time when it becomes stale, by
+        """Latest pattern of `put`, its arrival and the time when it becomes stale, by
         `time.monotonic_ns`."""
-        self._is_new = False  # whether the put pattern has not been sent yet
-        self._put_count = 0  # number of put patterns
-        self._missed = 0  # number of put patterns that were replaced before they were sent
+        self._is_new = False  # whether the latest pattern of `put` is unsent
+        self._put_count = 0  # number of the latest pattern of `put`
+        self._missed = 0  # number of patterns of `put` that were replaced unsent
         self._putter: threading.Thread | None = None
 
     def program(self) -> None:
@@ -294,7 +294,7 @@ class Program(Source, Listener):
         return Shown(begun_ns, clock_ns, board_us, sequences, pulses, intensity, current_ma, 0.0)
 
     def wait(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
-        """Wait without current, in the board's time; put patterns wait, too.
+        """Wait without current, in the board's time; patterns of `put` wait, too.
 
         Parameters
         ----------
@@ -358,7 +358,7 @@ class Program(Source, Listener):
                 self._send(self._newest())
 
     def _follow(self) -> None:
-        """Send the latest put pattern repeatedly while no thread shows another."""
+        """Send the latest pattern of `put` repeatedly while no thread shows another."""
         try:
             while True:
                 while self._waiting:
@@ -386,7 +386,7 @@ class Program(Source, Listener):
                     self._context.board.stop()
 
     def _newest(self) -> Stimulus:
-        """Return the latest put pattern, with a new number if another was shown meanwhile."""
+        """Return the latest pattern of `put`, with a new number if another was shown meanwhile."""
         with self._put_lock:
             pattern, came_ns, stale_ns = self._put
             if self._is_new or self._count != self._put_count:

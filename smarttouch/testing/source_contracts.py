@@ -89,7 +89,7 @@ class SourceContract(_Opened):
         assert given.image.ndim == 2
 
     def check_same(self, one: Input, other: Input) -> None:
-        """Compare two inputs with the same number."""
+        """Check that two reads of one input have equal content."""
         np.testing.assert_array_equal(_content(one), _content(other))
 
     def test_each_is_what_it_is_to_be(self, source: Source, profile: Profile) -> None:
@@ -176,8 +176,8 @@ class StimulusContract(SourceContract):
             assert given.image.ndim == 2
 
     def check_same(self, one: Input, other: Input) -> None:
-        """Compare two stimuli with the same number, which have the same place but may differ in
-        pulses."""
+        """Check that two reads of one stimulus have equal places; its pulses may change between
+        them."""
         assert one.pose == other.pose
 
 

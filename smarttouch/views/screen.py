@@ -112,7 +112,7 @@ class Screen(Listener):
             self._print(f"{result.step.input.time_ns / 1e9:.1f} s: {title}")
 
     def event(self, event: Event) -> None:
-        """Show the newest event; an advice stays."""
+        """Show the newest event; advice stays on the terminal."""
         self._event = f"{event.time_ns / 1e9:.1f} s: {event}"
         if isinstance(event, Advice):
             console = self._errors if self._live is None else self._console
@@ -167,7 +167,7 @@ class Screen(Listener):
                 self._rests_until_s = now_s + max(_REFRESH_S, _LEAST_REST * (now_s - began_s))
             if (failure := self._outputs[0].failure) is not None:
                 self._outputs[0].failure = None
-                # As it would be told where it is written.
+                # Raise the same error as a direct write to standard output.
                 raise terminal.write_failure(failure, "standard output")
         except (OSError, SmartTouchError) as failure:
             self._failure = self._failure or failure
@@ -348,7 +348,7 @@ def _columns(rows: Rows, width: int) -> list[Row]:
     return columns
 
 
-_BLIND_KEYS = "+ − amplitude    0 none    space pause    q, Esc end, goes on another time"
+_BLIND_KEYS = "+ − amplitude    0 none    space pause    q, Esc end; the session can continue later"
 
 
 class BlindScreen(Screen):

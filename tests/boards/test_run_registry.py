@@ -100,7 +100,7 @@ def test_every_run_is_asked_and_says_whether_it_is_at_zero(folder, smarttouch_st
         expected = sorted(f"process {child} {how}" for child, how in named.items())
         unknown = f"could not confirm zero: {UNKNOWN}"
         expected = [each.replace(UNKNOWN, unknown) + "." for each in expected]
-        assert sentences == (expected or [f"No run is announced in {folder}."])
+        assert sentences == (expected or [f"No run is registered in {folder}."])
         assert code == (1 if not boards else 2 if UNKNOWN in said else 0)
         assert [exit_code(child) for child in children] == [7] * len(children)
     assert list(folder.glob("*.json")) == []
@@ -131,9 +131,9 @@ def happen(what, folder, child):
     ("mark withheld", 2, [AT_ZERO, "stop again"], True),
     ("request withheld", 2, [f"cannot be asked .*: {UNKNOWN}"], False),
     ("frozen", 2, [f"did not answer: {UNKNOWN}"], False),
-    ("elsewhere", 1, ["No run is announced in .*other"], False),
-    ("killed", 1, ["No run is announced in "], None),
-    ("defunct", 1, ["No run is announced in "], None),
+    ("elsewhere", 1, ["No run is registered in .*other"], False),
+    ("killed", 1, ["No run is registered in "], None),
+    ("defunct", 1, ["No run is registered in "], None),
 ])  # fmt: skip
 @pytest.mark.parametrize("locks", [True, False], ids=["locks", "no locks"])
 def test_what_happens_to_a_run_and_its_files_hides_it_from_no_stop(

@@ -219,7 +219,7 @@ def _advice(error: Exception) -> str:
     if "No such file" in text or getattr(error, "errno", None) == 2:
         return (
             "there is no such port: check the cable and the name. BRLTTY may have claimed a board "
-            "with a CH340, CP210x or FTDI chip: let it leave this one (docs/install.md)"
+            "with a CH340, CP210x or FTDI chip: make BRLTTY ignore it (docs/install.md)"
         )
     if "ermission" in text:
         return "permission denied: add yourself to the group of the port (often dialout)"

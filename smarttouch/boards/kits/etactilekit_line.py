@@ -187,8 +187,8 @@ class ETactileKitLine:
         """Set the board to zero, resynchronize its parser and set its number of electrodes; return
         its number of outputs."""
         line = self.line
-        # An earlier host may have left an incomplete pattern, which only zeros complete without
-        # current. If zeros do not end it, a pause does.
+        # An earlier host may have left an incomplete pattern. Only zeros complete it without
+        # current. If they do not end it, a pause does.
         answers = self._answers(CHIPS, (ZEROS, 0.01), (ZEROS, FORGETS_S), then=AT_REST)
         if not (answer := next(filter(None, answers), b"")):
             raise SilentBoardError(

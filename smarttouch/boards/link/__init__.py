@@ -24,7 +24,7 @@ from typing import Literal, get_args
 from smarttouch.base.wire.framing import HEAD, WirePacket, frame_packet
 
 VERSION = 5
-VOLT = 100  # in VOLTAGES
+VOLT = 100  # counts per volt in VOLTAGES
 SWITCH_OPEN = 1  # bit of the state: the emergency switch is open
 SILENCE_MS = 100
 ALIVE_MS = 20
@@ -39,9 +39,9 @@ CAPABILITIES = struct.Struct("<HBBHHHHIIH")
 packet, largest number of kernels. The firmware's name follows."""
 ALIVE = struct.Struct("<h")
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
-"""Shortest period µs, total µA, longest pulse µs, full current µA, rounding µA, 0, ramp ms, session
-s, session µC, duty %, 0, width of a pulse at full current µs. For each electrode follow u16 largest
-current µA, u16 perceptible current µA, u32 largest charge pC."""
+"""Shortest period µs, total µA, longest pulse µs, full current µA, rounding µA, reserved, ramp ms,
+session s, session µC, duty %, reserved, width of a pulse at full current µs. Then for each
+electrode: u16 largest current µA, u16 perceptible current µA, u32 largest charge pC."""
 SEQUENCE = struct.Struct("<IHHBB")  # period µs, times, intensity, flags, number of pulse shapes
 GROUP = struct.Struct("<BBH")  # kind, pulse shape and number of slots
 POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups

@@ -49,15 +49,15 @@ _COUNTED = "sequences", "slots", "pulses", "violations", "refused_packets"
 
 
 class LinkSession:
-    """Session with a board, beginning before HELLO. The next call raises a fault. Each `open`
-    begins a new session.
+    """Session with a board, from before HELLO on; each `open` begins a new one. A fault is stored,
+    and the next call raises it.
 
     Parameters
     ----------
     receive : callable
         Called with each unrequested packet, with `news` held.
     draw : callable
-        Returns a new host's half of a session number.
+        Returns the host's half of a new session number.
     """
 
     line: Line
