@@ -91,16 +91,17 @@ def refuse_rest(url: str, rest: str, error: type[SmartTouchError]) -> None:
 
 
 def read_options(
-    opener: Callable[..., Any], rest: str, error: type[SmartTouchError], but: Collection[str] = ()
-) -> tuple[str, dict[str, Any]]:
+    opener: Callable[..., Any], rest: str, error: type[SmartTouchError],
+    but: Collection[str] = (), **more: type,
+) -> tuple[str, dict[str, Any]]:  # fmt: skip
     """Split the rest of a URL into its address and its options, with types from the annotations of
-    the opener.
+    the opener, and ``more`` options with their types.
 
     There are no options if a file has the complete name, if the text does not look like options
     (``text:Is it so?``), or if the opener takes none. Options in ``but`` are not allowed in URLs.
     """
     address, mark, query = rest.rpartition("?")
-    known = options_of(opener, but)
+    known = options_of(opener, but) | more
     parts = [part.partition("=")[::2] for part in query.split("&")]
     if not (mark and known) or not all(_NAME.fullmatch(name) for name, _ in parts):
         return rest, {}

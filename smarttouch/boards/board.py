@@ -27,15 +27,10 @@ from smarttouch.base.errors import (
 from smarttouch.base.posix import prioritized
 from smarttouch.base.stopping import uninterrupted
 from smarttouch.base.wire.port import device_of
+from smarttouch.boards import reports
 from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.impedance import Impedance, measure_by_probes
-from smarttouch.boards.reports import (
-    LONGEST_REPEAT,
-    BoardReport,
-    Capabilities,
-    HostStatistics,
-    find_latch,
-)
+from smarttouch.boards.reports import LONGEST_REPEAT, BoardReport, Capabilities
 from smarttouch.boards.shutdown import enter, leave
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, Ramp, SafetyGate, SafetyLimits
@@ -151,7 +146,7 @@ class Board:
         self._number = self._counted = 0
         self._starts: dict[int, tuple[int, int]] = {}
         self._volts: deque[Measured] = deque(maxlen=_MOST_VOLTS)
-        self._statistics = HostStatistics(limits.electrodes)
+        self._statistics = reports.HostStatistics(limits.electrodes)
         # shared with the sender thread
         self._news = threading.Condition()
         self._waiting: ProvedSequence | None = None
@@ -185,7 +180,7 @@ class Board:
         if self._opened:
             raise BoardError("the board is open already: close it first")
         self._opened_by = os.getpid()
-        if (record := find_latch(self.device)) is not None:
+        if (record := reports.find_latch(self.device)) is not None:
             raise BoardLatchedError(
                 f"the board ({self.device}) is latched since {record}; have it checked, then clear "
                 "it with smarttouch devices clear"
@@ -201,7 +196,7 @@ class Board:
                 self._stopped.set()
             self._line.pause(self._gate.net_rest_ns() / 1e9)
             self._number = self._counted = 0
-            self._statistics = HostStatistics(self._limits.electrodes)
+            self._statistics = reports.HostStatistics(self._limits.electrodes)
             self._starts.clear()
             self._open_driver()
             self._opened = True

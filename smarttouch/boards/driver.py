@@ -1,15 +1,19 @@
 """Base class of drivers, and the line to a device."""
 
 import contextlib
+import json
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.base.clock import now_ns
 from smarttouch.base.errors import (
     BoardClosedError,
     BoardError,
@@ -19,6 +23,7 @@ from smarttouch.base.errors import (
     SafetyError,
     SequenceLateError,
 )
+from smarttouch.base.files import owner_only
 from smarttouch.base.stopping import uninterrupted
 from smarttouch.base.wire.port import (
     LINE_ERRORS,
@@ -148,6 +153,9 @@ class Line:
         Returns the time by the board's clock.
     identity : UsbIdentity or None
         USB identity of the device, or None.
+    recording : Path or None
+        File to which both directions are appended, as ``{"time_ns": …, "event": "sent", "hex":
+        "ff00"}``; events are ``opened`` (with the port's name), ``sent`` and ``received``.
     """
 
     def __init__(self, board: "Board") -> None:
@@ -156,6 +164,8 @@ class Line:
         self.reopened: bool = False
         self.now_ns: Callable[[], int] = board.clock.now_ns
         self.identity: UsbIdentity | None = None
+        self.recording: Path | None = None
+        self._entries: SimpleQueue[str] = SimpleQueue()  # of the recording; an empty one ends it
         self._port: Port | None = None
         self._stopped = threading.Event()
         # Reentrant, because a signal handler may stop the board while its thread is writing.
@@ -190,6 +200,10 @@ class Line:
             port = open_port(name, baudrate)
             self.identity = identity_of(port)
         self.name, self._port = name, wrap(port)
+        if self.recording is not None:
+            self._writer = threading.Thread(target=self._keep, args=(self.recording,), daemon=True)
+            self._writer.start()
+            self._note("opened", name.encode())
 
     def disconnect(self) -> None:
         """Close the port, if one is open."""
@@ -197,6 +211,10 @@ class Line:
         if port is not None:
             with contextlib.suppress(*LINE_ERRORS):
                 port.close()
+            if self.recording is not None:
+                self._note("sent", getattr(port, "left_to_watchdog", b""))
+                self._entries.put("")
+                self._writer.join(WRITE_S)
 
     # -- writing -----------------------------------------------------------
 
@@ -231,6 +249,8 @@ class Line:
             for at in range(PIECE, len(data), PIECE):
                 self.require_running()
                 port.write(data[at : at + PIECE])
+        if self.recording is not None:
+            self._note("sent", data)
 
     @contextlib.contextmanager
     def current(self, proved: ProvedSequence | None = None) -> Iterator[None]:
@@ -291,7 +311,10 @@ class Line:
         """Return the bytes received in time, at most ``count``."""
         with self._open_port("has vanished") as port:
             port.timeout = within_s
-            return bytes(port.read(count))
+            data = bytes(port.read(count))
+        if self.recording is not None:
+            self._note("received", data)
+        return data
 
     def ask(
         self, data: bytes, count: int, within_s: float, proved: ProvedSequence | None = None
@@ -312,12 +335,29 @@ class Line:
                 self.board.notes += [note] * (note not in self.board.notes)
                 # Always pause: this thread may have priority over all others.
                 time.sleep(0.001)
-            return data or b""
+        if self.recording is not None:
+            self._note("received", data or b"")
+        return data or b""
 
     def discard_input(self) -> None:
         """Drop unread bytes."""
         with self._open_port("has vanished") as port:
             port.reset_input_buffer()
+
+    def _note(self, event: str, data: bytes) -> None:
+        if data:
+            entry = {"time_ns": now_ns(), "event": event, "hex": data.hex()}
+            self._entries.put(json.dumps(entry))
+
+    def _keep(self, path: Path) -> None:
+        """Write the recording, in a thread that delays neither pulses nor zero if the disk does."""
+        try:
+            with open(path, "a", opener=owner_only) as file:
+                for entry in iter(self._entries.get, ""):
+                    print(entry, file=file, flush=True)
+        except OSError as failure:
+            self.recording = None
+            self.board.notes.append(f"{path} ends early: {failure}")
 
     @contextlib.contextmanager
     def _open_port(self, what: str) -> Iterator[Port]:

@@ -1,6 +1,7 @@
 """Boards by URL."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from smarttouch.base.errors import BoardError
@@ -37,12 +38,18 @@ def make_board(
     url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
 ) -> Board:
     """Return the closed board for a URL, which may contain options of its driver, as in
-    ``emulator:?books=FOLDER``."""
+    ``emulator:?books=FOLDER``, and ``record=FILE``, a new file for what its line carries."""
     opener, rest = BOARDS.find(url)
-    rest, from_url = read_options(opener, rest, BoardError, but=("output",))
+    rest, from_url = read_options(opener, rest, BoardError, ("output",), record=Path)
+    path = from_url.pop("record", None)
     driver: Driver = opener(rest, replace(limits), output, **{**from_url, **options})
     BOARDS.require_kind(driver, url)
-    return Board(driver, limits, output, **_WITHOUT_FINGER.get(url.partition(":")[0], {}))
+    board = Board(driver, limits, output, **_WITHOUT_FINGER.get(url.partition(":")[0], {}))
+    if path and (driver.port is None or path.exists() or not path.parent.is_dir()):
+        needs = "a new file in a folder that exists, and a board with a line"
+        raise BoardError(f"record={path} needs {needs}: {url}")
+    board._line.recording = path
+    return board
 
 
 def may_touch_a_finger(url: str) -> bool:

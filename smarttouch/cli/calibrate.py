@@ -258,7 +258,7 @@ def scale(
     Connect the resistor in place of the finger, and make pulses with devices test --electrode N
     --current-ma 1.
     """
-    from smarttouch.boards.kits import measured_scale
+    from smarttouch.profile.kit_scales import measured_scale
     from smarttouch.running.display import open_display
 
     before_ua = getattr(open_display(url, profile).board.driver, "ua_per_count", None)

@@ -59,9 +59,9 @@ def emulate(
     device: Annotated[
         str,
         argument(
-            "link, kajimoto61, etactilekit, serial-array, hx711 or loadcell. Options "
-            "follow, as in 'link?electrodes=16&event=2 lift'.",
-            "KIND",
+            "link, kajimoto61, etactilekit, serial-array, hx711 or loadcell, with options as in "
+            "'link?electrodes=16&event=2 lift'; or a file of --board 'KIND:PORT?record=FILE'.",
+            "KIND|FILE",
         ),
     ],
 ) -> None:

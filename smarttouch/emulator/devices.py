@@ -14,10 +14,11 @@ from threadpoolctl import threadpool_limits
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SmartTouchError, choice_of, require_within
+from smarttouch.base.files import file_at
 from smarttouch.base.stopping import SIGNALS
 from smarttouch.base.urls import options_of, read_options
 from smarttouch.boards.link import OUTPUTS
-from smarttouch.emulator.device_lines import PtyLine, TcpLine
+from smarttouch.emulator.device_lines import PtyLine, Replay, TcpLine
 from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, DeviceClock, Firmware
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
@@ -41,11 +42,16 @@ _FULL_WAIT_S = 0.0005  # pause before the rest of a message is written again
 
 
 def emulate(url: str, advise: bool = False) -> None:
-    """Emulate the device of a URL, and print the name of its port.
+    """Emulate the device of a URL, or of a recorded line, and print the name of its port.
 
     Options of the URL are those of `emulate_board` or `emulate_sensor`. With ``advise``, the
     command that uses the port is printed, too.
     """
+    if (recording := file_at(url)) is not None:
+        with closing(Replay(recording)) as replay:
+            print(replay.name, flush=True)
+            replay.serve()
+        return
     name = choice_of("emulator", url.partition("?")[0], (*BOARDS, *SENSORS))
     device = emulate_board if name in BOARDS else emulate_sensor
     address, options = read_options(device, url, SmartTouchError)
@@ -146,10 +152,8 @@ class Server:
         which stops the board and closes the port. If it is finite, SIGHUP ends the device as soon
         as it has no host.
         """
-        ended, signals = (
-            False,
-            SIGNALS if math.isfinite(linger_s) else (signal.SIGTERM, signal.SIGINT),
-        )
+        ended = False
+        signals = SIGNALS if math.isfinite(linger_s) else (signal.SIGTERM, signal.SIGINT)
 
         def end(number: int, _frame: FrameType | None) -> None:
             nonlocal ended, linger_s

@@ -6,12 +6,12 @@ import signal
 import subprocess
 import sys
 import time
-import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -255,7 +255,8 @@ class EmulatorProcess:
         # A new session, so that Ctrl-C in the terminal does not reach the board.
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
         self._begun_s, self._port = time.monotonic(), ""
-        self._end = weakref.finalize(self, _end, self._process, os.getpid())
+        # Ends the process, whose host is gone.
+        self.end: finalize[..., Any] = finalize(self, _end, self._process, os.getpid())
 
     @property
     def has_ended(self) -> bool:
@@ -265,7 +266,7 @@ class EmulatorProcess:
     def is_usable(self) -> bool:
         """Whether it has not ended, and does not end soon because no host has come."""
         waits = self._port or time.monotonic() < self._begun_s + _FIRST_HOST_S
-        return self._end.alive and not self.has_ended and bool(waits)
+        return self.end.alive and not self.has_ended and bool(waits)
 
     def port(self, line: Line) -> str:
         """Wait until the process has started, and return the name of its port; a stop ends the
@@ -293,10 +294,6 @@ class EmulatorProcess:
         if not (printed := output.readline()):
             raise BoardError(f"the emulator did not start (exit {self._process.wait()})")
         return printed.decode().strip()
-
-    def end(self) -> None:
-        """End the process, whose host is gone."""
-        self._end()
 
 
 def _end(process: "subprocess.Popen[bytes]", owner: int) -> None:

@@ -189,10 +189,9 @@ class ETactileKitFirmware(KitFirmware):
         pulses = self._pulses()
         discharge_us = self._set[DISCHARGE]
         lengths_ns = [
-            int(len(phases) * (1000 * width_us + SWITCHING_NS))
-            + 1000 * discharge_us
+            int(len(phases) * (1000 * width_us + SWITCHING_NS)) + 1000 * discharge_us
             for _, width_us, phases in pulses
-        ]  # fmt: skip
+        ]
         if not any(height for height, _, _ in pulses) and not any(self._readings):
             # Skip scans without pulses in one step.
             each_ns = max(self._period_ns(), sum(lengths_ns))

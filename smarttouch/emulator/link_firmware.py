@@ -10,25 +10,10 @@ from numpy.typing import NDArray
 
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards import link as protocol
-from smarttouch.boards.link import (
-    SILENCE_MS,
-    SWITCH_OPEN,
-    WHOLE_HEAD_BYTES,
-    Feature,
-    Message,
-    MessageKind,
-    Output,
-    Refusal,
-    Rule,
-    decode,
-)
+from smarttouch.boards.link import Feature, Message, MessageKind, Output, Refusal, Rule
+from smarttouch.emulator import link_packets
 from smarttouch.emulator.firmware import RECHARGE, DeliveryLog, Firmware
-from smarttouch.emulator.link_packets import (
-    BoardSession,
-    ReceivedSequence,
-    decode_lists,
-    encode_volts,
-)
+from smarttouch.emulator.link_packets import BoardSession, ReceivedSequence, decode_lists
 from smarttouch.emulator.link_rules import (
     MAX_CURRENT_UA,
     RAMP_MS,
@@ -134,10 +119,10 @@ class LinkFirmware(Firmware):
             if not deframer.waiting:
                 self._packet_ns = now_ns
             for packet in deframer.feed(piece):
-                self._answer(decode(packet), now_ns)
+                self._answer(protocol.decode(packet), now_ns)
         if deframer.errors > garbled and self._greeted:
             self._refuse(0, Refusal.GARBLED)
-        head = deframer.head(WHOLE_HEAD_BYTES)
+        head = deframer.head(protocol.WHOLE_HEAD_BYTES)
         if head is not None and session.promises(head, self._packet_ns, now_ns):
             self._received_ns = now_ns
         books.framing_errors = deframer.errors
@@ -156,7 +141,7 @@ class LinkFirmware(Firmware):
 
     def _pass_time(self, now_ns: int) -> None:
         opened = self.switch_open or self._finger.opens_switch(now_ns / 1e9)
-        self._session.state = SWITCH_OPEN * opened
+        self._session.state = protocol.SWITCH_OPEN * opened
         if opened and self._refusing is None:
             running = self._running
             recharge_ns = None if running is None else running.recharge_ns
@@ -165,7 +150,7 @@ class LinkFirmware(Firmware):
                 self._executed_ns = now_ns
             self._end(Refusal.EMERGENCY, "emergency", now_ns)
             self._refuse(0, Refusal.EMERGENCY)
-        deadline_ns = self._received_ns + SILENCE_MS * 1_000_000
+        deadline_ns = self._received_ns + protocol.SILENCE_MS * 1_000_000
         self._execute(min(now_ns, deadline_ns))
         if now_ns >= deadline_ns and self._refusing is None:
             dropped = self._waiting
@@ -219,7 +204,7 @@ class LinkFirmware(Firmware):
 
     def _end_scan(self, table: _AtHand, end_ns: int) -> None:
         if table.sequence.measure:
-            volts = encode_volts(np.array(table.volts))
+            volts = link_packets.encode_volts(np.array(table.volts))
             self._say(MessageKind.VOLTAGES, table.number, volts)
         table.left -= 1
         self._second.end(table.over_ns // 1000)
@@ -336,7 +321,7 @@ class LinkFirmware(Firmware):
     def _accept(self, message: Message, now_ns: int) -> None:
         number, (last, begun) = message.about, self._last
         if self._refusing is not None:
-            opened = bool(self._session.state & SWITCH_OPEN)
+            opened = bool(self._session.state & protocol.SWITCH_OPEN)
             self._refuse(number, Refusal.EMERGENCY if opened else self._refusing)
         elif number == last:
             if begun:

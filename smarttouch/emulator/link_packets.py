@@ -12,29 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.wire.framing import HEAD, WirePacket
-from smarttouch.boards.link import (
-    ALIVE_MS,
-    GOES_ON,
-    GROUP,
-    HALF,
-    LATE_MS,
-    LONGEST_PACKET_MS,
-    MEASURE,
-    MORE,
-    RECHARGE,
-    SEQUENCE,
-    STATES,
-    SUM,
-    VERSION,
-    VOLT,
-    Message,
-    MessageKind,
-    Refusal,
-    decode,
-    digest_of,
-    draw_half,
-    encode,
-)
+from smarttouch.boards import link as protocol
+from smarttouch.boards.link import HALF, LATE_MS, SUM, VERSION, Message, MessageKind, Refusal
 
 MOST_HOSTS = 8  # number of hosts for which HELLO packets are remembered
 _MS = 1_000_000
@@ -45,19 +24,19 @@ _NOTHING = bytes(16)
 def decode_head(head: bytes) -> Message:
     """Decode the first `WHOLE_HEAD_BYTES` of a message, before the CRC is known."""
     version, kind, number = HEAD.unpack_from(head)
-    return decode(WirePacket(kind, number, head[HEAD.size :], version))
+    return protocol.decode(WirePacket(kind, number, head[HEAD.size :], version))
 
 
 def encode_volts(volts: NDArray[np.float64]) -> bytes:
     """Return the payload of VOLTAGES: the source's voltage in each slot, (S,) V."""
-    return np.clip(np.rint(volts * VOLT), 0, 0xFFFF).astype("<u2", copy=False).tobytes()
+    return np.clip(np.rint(volts * protocol.VOLT), 0, 0xFFFF).astype("<u2", copy=False).tobytes()
 
 
 class BoardSession:
     """The current session, and the challenge for the next. ``draw`` returns 32 random bits that are
     not all 0."""
 
-    def __init__(self, draw: Callable[[], int] = draw_half) -> None:
+    def __init__(self, draw: Callable[[], int] = protocol.draw_half) -> None:
         self.state = 0  # state of the board, in each of its packets
         # Session number, 0 before the first; packets refused as old; packets of other sessions.
         self.number: int = 0
@@ -67,7 +46,7 @@ class BoardSession:
         self._draw = draw
         self._challenge = draw()
         self._taken = self._said = 0
-        self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // ALIVE_MS)
+        self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // protocol.ALIVE_MS)
         """Time, ns, and number of each of the last ALIVE packets."""
         self._hellos: dict[int, tuple[int, int]] = {}  # last number and count, by host
 
@@ -75,7 +54,7 @@ class BoardSession:
         """Return the board's next packet of the session."""
         self._said += 1
         message = Message(kind, self._said, self.number, self._taken, about, payload, self.state)
-        return encode(message)
+        return protocol.encode(message)
 
     def encode_alive(self, payload: bytes, now_ns: int) -> bytes:
         """Return the next ALIVE packet; its echo proves when the host received it."""
@@ -99,7 +78,7 @@ class BoardSession:
             self._hellos[half] = hello.number, count + 1
         session = self._challenge << 32 | half
         kind = MessageKind.CAPABILITIES
-        return encode(Message(kind, 0, session, 0, hello.number, capabilities, self.state))
+        return protocol.encode(Message(kind, 0, session, 0, hello.number, capabilities, self.state))
 
     def would_begin(self, begin: Message) -> bool:
         """Return whether BEGIN may open a session."""
@@ -108,8 +87,8 @@ class BoardSession:
 
     def refuse_begin(self, begin: Message, payload: bytes) -> bytes:
         """Return the NAK for a BEGIN that is refused."""
-        kind = MessageKind.NAK
-        return encode(Message(kind, 0, begin.session, 0, begin.number, payload, self.state))
+        nak = Message(MessageKind.NAK, 0, begin.session, 0, begin.number, payload, self.state)
+        return protocol.encode(nak)
 
     def begin(self, begin: Message) -> None:
         """Open the session of a BEGIN that was allowed."""
@@ -138,7 +117,7 @@ class BoardSession:
 
     def promises(self, head: bytes, began_ns: int, now_ns: int) -> bool:
         """Return whether an incomplete packet counts as a sign of life, as long packets do."""
-        message, early = decode_head(head), now_ns - began_ns <= LONGEST_PACKET_MS * _MS
+        message, early = decode_head(head), now_ns - began_ns <= protocol.LONGEST_PACKET_MS * _MS
         fresh = self._judge(message, began_ns) is None
         return message.kind in (MessageKind.SEQUENCE, MessageKind.KERNELS) and early and fresh
 
@@ -186,17 +165,13 @@ class _Reader:
     """Reads a payload from its start. Raises ValueError if it is too short."""
 
     def __init__(self, data: bytes) -> None:
-        self._data, self._at = data, 0
-
-    @property
-    def is_over(self) -> bool:
-        return self._at == len(self._data)
+        self._data, self.at = data, 0
 
     def take(self, size: int) -> bytes:
-        start, self._at = self._at, self._at + size
-        if self._at > len(self._data):
+        start, self.at = self.at, self.at + size
+        if self.at > len(self._data):
             raise ValueError("cut short")
-        return self._data[start : self._at]
+        return self._data[start : self.at]
 
     def numbers(self, count: int, kind: str) -> NDArray[np.int64]:
         return np.frombuffer(self.take(2 * count), kind).astype(np.int64)
@@ -205,9 +180,10 @@ class _Reader:
 def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSequence:
     """Decode a sequence. Raises ValueError unless the payload is exactly one sequence."""
     rest = _Reader(payload)
-    period_us, times, intensity, flags, count = SEQUENCE.unpack(rest.take(SEQUENCE.size))
-    recharges, part = flags & RECHARGE, flags & (MORE | GOES_ON)
-    wrong = (times > 1 and part) or (recharges and (switched or flags & MORE))
+    first = rest.take(protocol.SEQUENCE.size)
+    period_us, times, intensity, flags, count = protocol.SEQUENCE.unpack(first)
+    recharges, part = flags & protocol.RECHARGE, flags & (protocol.MORE | protocol.GOES_ON)
+    wrong = (times > 1 and part) or (recharges and (switched or flags & protocol.MORE))
     if not times or flags > 15 or wrong:
         raise ValueError("an invalid head")
     shapes = rest.numbers(2 * count, "<u2").reshape(count, 2)
@@ -215,9 +191,9 @@ def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSeq
     recharge_ua = rest.numbers(electrodes, "<i2") if recharges else None
     slots, heads, rows = 0, [np.empty((0, 4), np.int64)], [np.empty((0, electrodes), np.int64)]
     pairs = [np.empty((0, 3), np.int64)]
-    while not rest.is_over:
-        kind, shape, number = GROUP.unpack(rest.take(GROUP.size))
-        if kind > STATES or shape >= count or not number:
+    while rest.at < len(payload):
+        kind, shape, number = protocol.GROUP.unpack(rest.take(protocol.GROUP.size))
+        if kind > protocol.STATES or shape >= count or not number:
             raise ValueError("an invalid group")
         size = (4, 4, 2 + 2 * electrodes, 4 + -(-electrodes // 4))[kind]
         body = np.frombuffer(rest.take(size * number), np.uint8).reshape(number, size)
@@ -227,7 +203,7 @@ def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSeq
         if kind <= SUM:
             slot = slots + np.arange(number) * (kind != SUM)
             pairs.append(np.column_stack([slot, body.view("<u2")]))
-        elif kind == STATES:
+        elif kind == protocol.STATES:
             head[:, 2:] = body[:, :4].copy().view("<u2")
             row[:] = unpack_states(body[:, 4:], electrodes)
         else:
@@ -241,8 +217,8 @@ def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSeq
     kinds, shape, site, source_ua = np.concatenate(heads).T
     width_us, discharge_us = shapes[shape].T
     return ReceivedSequence(
-        period_us, times, intensity, bool(flags & MEASURE), bool(flags & MORE),
-        bool(flags & GOES_ON), recharge_us, recharge_ua, kinds, site, source_ua, width_us,
+        period_us, times, intensity, bool(flags & protocol.MEASURE), bool(flags & protocol.MORE),
+        bool(flags & protocol.GOES_ON), recharge_us, recharge_ua, kinds, site, source_ua, width_us,
         discharge_us, np.concatenate(rows), np.concatenate(pairs),
     )  # fmt: skip
 
@@ -302,13 +278,13 @@ class KernelStore:
     def proof(self, session: int) -> bytes:
         """Return a digest that proves to the host which kernels are stored; zeros if they are
         incomplete."""
-        return _NOTHING if self.weights is None else digest_of(bytes(self._data), session)
+        return _NOTHING if self.weights is None else protocol.digest_of(bytes(self._data), session)
 
     def _read(self) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
         data, of = bytes(self._data), self._electrodes
         rest = _Reader(data)
         electrodes, count = _PAIR.unpack(rest.take(4))
-        if digest_of(data) != self.identity or electrodes != of or count > self._most:
+        if protocol.digest_of(data) != self.identity or electrodes != of or count > self._most:
             raise ValueError("another identity, other electrodes, or too many kernels")
         weights, site = np.zeros((count, of), np.int16), np.zeros(count, np.uint16)
         for index in range(count):
@@ -321,6 +297,6 @@ class KernelStore:
                 end = first + length
                 weights[index, first:end] = rest.numbers(length, "<i2")
         uneven = weights.sum(axis=1, dtype=np.int64).any() or (weights == -32768).any()
-        if not rest.is_over or uneven or (site >= of).any():
+        if rest.at < len(data) or uneven or (site >= of).any():
             raise ValueError("an invalid kernel")
         return weights, site

@@ -5,11 +5,5 @@ from smarttouch.profile.profile import Profile
 from smarttouch.profile.toml_files import DEFAULT_PROFILE, list_profiles, load_profile
 
 __all__ = [
-    "DEFAULT_PROFILE",
-    "ForceLaw",
-    "Optics",
-    "Profile",
-    "Skin",
-    "list_profiles",
-    "load_profile",
-]
+    "DEFAULT_PROFILE", "ForceLaw", "Optics", "Profile", "Skin", "list_profiles", "load_profile",
+]  # fmt: skip

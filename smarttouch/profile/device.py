@@ -6,19 +6,8 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from smarttouch.profile.ceilings import (
-    CEILING_CHARGE_UC,
-    CEILING_DENSITY_UC_CM2,
-    CEILING_DUTY,
-    CEILING_MA,
-    CEILING_PULSE_US,
-    CEILING_RATE_HZ,
-    CEILING_SESSION_MC,
-    CEILING_SESSION_S,
-    CEILING_TOTAL_MA,
-    LEAST_DISCHARGE_US,
-    SHORTEST_RAMP_S,
-)
+from smarttouch.profile import ceilings
+from smarttouch.profile.ceilings import CEILING_DENSITY_UC_CM2, CEILING_SESSION_MC
 from smarttouch.profile.toml_tables import Number, Positive, Table, UnfitError, raise_all
 
 
@@ -116,11 +105,11 @@ class ForceLaw(Table):
 class Pulse(Table):
     """Pulses and their rates."""
 
-    width_us: int = Field(ge=10, le=int(CEILING_PULSE_US))
+    width_us: int = Field(ge=10, le=int(ceilings.CEILING_PULSE_US))
     """Pulse width."""
-    discharge_us: int = Field(ge=LEAST_DISCHARGE_US, le=5000)
+    discharge_us: int = Field(ge=ceilings.LEAST_DISCHARGE_US, le=5000)
     """Time after each pulse in which electrodes are shorted, so that charge flows back."""
-    rate_hz: float = Field(ge=1, le=CEILING_RATE_HZ)
+    rate_hz: float = Field(ge=1, le=ceilings.CEILING_RATE_HZ)
     """Sequences per second."""
     chronaxie_us: Positive = 200.0
     """Chronaxie of the afferents: the shorter the pulse, the more current it needs."""
@@ -136,28 +125,30 @@ class Pulse(Table):
 class Limits(Table):
     """Limits of every sequence, bounded by the project's ceilings."""
 
-    current_ma: float = Field(gt=0, le=CEILING_MA)
+    current_ma: float = Field(gt=0, le=ceilings.CEILING_MA)
     """Largest current of any electrode."""
-    total_ma: float | None = Field(default=None, gt=0, le=CEILING_TOTAL_MA)
+    total_ma: float | None = Field(default=None, gt=0, le=ceilings.CEILING_TOTAL_MA)
     """Largest total current of all cathodes in one slot; by default the project's ceiling.
 
     With a single source, the largest current of one electrode is a limit, too.
     """
     electrode_ma: tuple[Positive, ...] | None = None
     """Largest current of each electrode, if some must stay below ``current_ma``."""
-    pulse_us: float = Field(gt=0, le=CEILING_PULSE_US)
+    pulse_us: float = Field(gt=0, le=ceilings.CEILING_PULSE_US)
     """Longest pulse."""
-    charge_uc: float = Field(gt=0, le=CEILING_CHARGE_UC)
+    charge_uc: float = Field(gt=0, le=ceilings.CEILING_CHARGE_UC)
     """Largest charge of a pulse."""
-    rate_hz: float = Field(gt=0, le=CEILING_RATE_HZ)
+    rate_hz: float = Field(gt=0, le=ceilings.CEILING_RATE_HZ)
     """Largest number of sequences per second."""
-    duty: float = Field(gt=0, le=CEILING_DUTY)
+    duty: float = Field(gt=0, le=ceilings.CEILING_DUTY)
     """Largest share of the time with current."""
-    ramp_s: float = Field(ge=SHORTEST_RAMP_S, le=10)
+    ramp_s: float = Field(ge=ceilings.SHORTEST_RAMP_S, le=10)
     """Shortest time from zero to full intensity."""
     density_uc_cm2: float = Field(default=CEILING_DENSITY_UC_CM2, gt=0, le=CEILING_DENSITY_UC_CM2)
     """Largest charge of a pulse per area of the electrode."""
-    session_s: float = Field(default=CEILING_SESSION_S, gt=0, le=CEILING_SESSION_S)
+    session_s: float = Field(
+        default=ceilings.CEILING_SESSION_S, gt=0, le=ceilings.CEILING_SESSION_S
+    )
     """Longest total time of scans with current in a session, from opening to closing the board."""
     session_mc: float = Field(default=CEILING_SESSION_MC, gt=0, le=CEILING_SESSION_MC)
     """Largest charge through one electrode in a session."""

@@ -14,14 +14,7 @@ from pydantic import Field, model_validator
 from smarttouch.base.errors import ProfileError
 from smarttouch.base.files import read_csv
 from smarttouch.base.tactile_image import one_line
-from smarttouch.profile.toml_tables import (
-    Number,
-    Positive,
-    Table,
-    UnfitError,
-    raise_all,
-    validated,
-)
+from smarttouch.profile.toml_tables import Number, Positive, Table, UnfitError, raise_all, validated
 
 Shape = Literal["point", "disc", "annulus", "rectangle"]
 

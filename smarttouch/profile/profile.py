@@ -12,27 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from smarttouch.base.errors import ProfileError, SmartTouchError
+from smarttouch.profile import device as tables
+from smarttouch.profile import electrodes as arrays
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
-from smarttouch.profile.device import (
-    Calibrated,
-    CommandDefaults,
-    ForceLaw,
-    Frames,
-    Kernels,
-    Limits,
-    Optics,
-    Output,
-    PerceptThresholds,
-    Pulse,
-    Skin,
-)
-from smarttouch.profile.electrodes import (
-    ArrayLayout,
-    ElectrodeArray,
-    FreeLayout,
-    GridLayout,
-    layout_of,
-)
+from smarttouch.profile.electrodes import ArrayLayout, ElectrodeArray, GridLayout
 from smarttouch.profile.toml_tables import Table, UnfitError, raise_all, table_error
 
 
@@ -154,17 +137,17 @@ class Profile(Table):
     title: str = Field(min_length=1)
     """Description of the device, for people."""
     array: ArrayLayout
-    skin: Skin
-    output: Output
-    optics: Optics
-    force: ForceLaw
-    pulse: Pulse
-    limits: Limits
-    perception: PerceptThresholds
-    frames: Frames = Frames()
-    kernels: Kernels = Kernels()
-    defaults: CommandDefaults = CommandDefaults()
-    calibrated: dict[str, Calibrated] = Field(default_factory=dict)
+    skin: tables.Skin
+    output: tables.Output
+    optics: tables.Optics
+    force: tables.ForceLaw
+    pulse: tables.Pulse
+    limits: tables.Limits
+    perception: tables.PerceptThresholds
+    frames: tables.Frames = tables.Frames()
+    kernels: tables.Kernels = tables.Kernels()
+    defaults: tables.CommandDefaults = tables.CommandDefaults()
+    calibrated: dict[str, tables.Calibrated] = Field(default_factory=dict)
 
     def __repr__(self) -> str:
         kind = self.output.kind
@@ -292,10 +275,10 @@ class Profile(Table):
         """
         optics = self.optics.model_dump()
         if isinstance(table, GridLayout):
-            layout: GridLayout | FreeLayout = table
+            layout: GridLayout | arrays.FreeLayout = table
             optics["magnification"] = table.columns * table.pitch_x_mm / optics["field_width_mm"]
         else:
-            layout = layout_of(table)
+            layout = arrays.layout_of(table)
         count = len(layout.build())
         output = self.output.model_dump() | {"masked": (), "wiring": None}
         output["impedance_kohm"] = np.max(self.output.impedance_kohm)
@@ -314,7 +297,7 @@ class Profile(Table):
                 "limits": limits,
                 "optics": optics,
                 "calibrated": calibrated,
-                "defaults": CommandDefaults(),
+                "defaults": tables.CommandDefaults(),
                 "title": title or f"{count} electrodes, else as {self.title}",
                 "name": "",
             }

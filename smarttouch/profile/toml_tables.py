@@ -29,8 +29,7 @@ class AllUnfitError(ValueError):
 
 def raise_all(errors: Iterable[UnfitError]) -> None:
     """Raise all errors together, if any."""
-    complaints = tuple(errors)
-    if complaints:
+    if complaints := tuple(errors):
         raise AllUnfitError(complaints)
 
 

@@ -4,13 +4,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from smarttouch.emulator.device_lines import PtyLine, TcpLine
+    from smarttouch.emulator.device_lines import PtyLine, TcpLine, replayed
     from smarttouch.testing.driver_contract import ZERO, DriverContract, SentPulse
     from smarttouch.testing.source_contracts import ForceContract, SourceContract, StimulusContract
 
 __all__ = [
     "ZERO", "DriverContract", "ForceContract", "PtyLine", "SentPulse", "SourceContract",
-    "StimulusContract", "TcpLine",
+    "StimulusContract", "TcpLine", "replayed",
 ]  # fmt: skip
 
 _MODULES = "emulator.device_lines", "testing.source_contracts", "testing.driver_contract"

@@ -24,20 +24,9 @@ from smarttouch.base.errors import (
     choice_of,
 )
 from smarttouch.boards.driver import Driver, Line
+from smarttouch.boards.kits import etactilekit_line as wire
 from smarttouch.boards.kits import one_against_all, require_kit, steps_of
-from smarttouch.boards.kits.etactilekit_line import (
-    FIRST_COMMAND,
-    GO,
-    KEPT_MS,
-    LARGEST,
-    LOAD,
-    QUIET,
-    SHORTEST_US,
-    ETactileKitLine,
-    Readings,
-    Settings,
-    Span,
-)
+from smarttouch.boards.kits.etactilekit_line import ETactileKitLine, Readings, Settings, Span
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
@@ -227,10 +216,10 @@ class ETactileKitDriver(Driver):
         return Capabilities(
             electrodes=self._limits.electrodes,
             output="one-against-all",
-            max_current_ma=LARGEST * self.ua_per_count / 1000,
+            max_current_ma=wire.LARGEST * self.ua_per_count / 1000,
             max_slots=self._limits.electrodes,
             time_to_zero_ms=NEWEST_ZERO_MS if self._firmware == "newest" else None,
-            kept_ms=KEPT_MS,
+            kept_ms=wire.KEPT_MS,
             firmware=f"{named}, {capacity} outputs",
             measures=True,
             host_timed=True,
@@ -270,10 +259,10 @@ class ETactileKitDriver(Driver):
                 )
         width_us = int(sequence.width_us.max(initial=0))
         rest_us = int(sequence.discharge_us.max(initial=0))
-        if rest_us >= FIRST_COMMAND or (sequence.slots and width_us < SHORTEST_US):
+        if rest_us >= wire.FIRST_COMMAND or (sequence.slots and width_us < wire.SHORTEST_US):
             raise BoardError(
                 f"this board makes no pulses of {width_us} µs with {rest_us} µs of discharge: at "
-                f"least {SHORTEST_US} and at most {FIRST_COMMAND - 1} µs"
+                f"least {wire.SHORTEST_US} and at most {wire.FIRST_COMMAND - 1} µs"
             )
         rate_hz = max(1, round(1e6 / sequence.period_us))
         settings = Settings(width_us, rest_us, rate_hz, bool((current_ua < 0).any()))
@@ -288,10 +277,10 @@ class ETactileKitDriver(Driver):
         steps = steps_of(
             "etactilekit", self.ua_per_count, self._limits, width_us, level_ua, electrode
         )
-        counts = np.minimum(steps, LARGEST)
+        counts = np.minimum(steps, wire.LARGEST)
         # Avoid bytes that look like commands: they would be executed if the byte before were lost.
         low = counts & 0xFF
-        counts -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0)
+        counts -= np.where(low >= wire.FIRST_COMMAND, low - (wire.FIRST_COMMAND - 1), 0)
         heights = np.zeros(self._outputs, "<u2")
         heights[self._wiring[electrode]] = counts
         return settings, heights.tobytes()
@@ -348,7 +337,7 @@ class ETactileKitDriver(Driver):
         # The start depends on settings and on the board's scans.
         begin_ns = self._between_scans(line.now_ns())
         line.wait_until(begin_ns)
-        if (span := self._ask(GO, drives=line.later(proved, begin_ns))) is None:
+        if (span := self._ask(wire.GO, drives=line.later(proved, begin_ns))) is None:
             self._on_board = b""
             return False
         assert self._before is not None
@@ -364,7 +353,7 @@ class ETactileKitDriver(Driver):
         between_hz = max(1, min(settings.rate_hz, before_hz, 800_000 // longest))
         self._on_board, self._settings, self._before = b"", None, None
         self._lock = ScanLock(settings.period_ns)
-        for commands in (LOAD + self._nothing, settings.commands(between_hz)):
+        for commands in (wire.LOAD + self._nothing, settings.commands(between_hz)):
             if self._kit.exchange(commands) is None:
                 return False
         if settings.rate_hz != before_hz:
@@ -376,7 +365,7 @@ class ETactileKitDriver(Driver):
     def _load(self, pattern: bytes) -> bool:
         """Load a pattern while pulses are stopped; return whether the board confirmed it."""
         self._on_board = b""
-        if self._kit.exchange(LOAD + pattern) is not None:
+        if self._kit.exchange(wire.LOAD + pattern) is not None:
             self._on_board = pattern
         return self._on_board == pattern
 
@@ -399,11 +388,11 @@ class ETactileKitDriver(Driver):
         rises, falls = (then < LOW) & (now >= HIGH), (then >= HIGH) & (now < LOW)
         if (rises | falls).any():
             # slot with a short discharge, or without a pulse
-            rest_us = max(0, settings.discharge_us - SHORTEST_US)
+            rest_us = max(0, settings.discharge_us - wire.SHORTEST_US)
             if self._firmware == "71adee2":
                 # A query during a scan is answered after it, so the complete scan has passed.
                 slots, early_ns = self._outputs, asked_ns
-                rest_us += settings.width_us if rises.any() else SHORTEST_US
+                rest_us += settings.width_us if rises.any() else wire.SHORTEST_US
             else:
                 # The slot that changed passed between the two queries; its scan began this many
                 # slots earlier.
@@ -470,7 +459,7 @@ class ETactileKitDriver(Driver):
         shown, self._shown = self._shown, None
         begun_ns, stopped = self._kit.line.now_ns(), None
         try:
-            stopped = self._ask(QUIET)
+            stopped = self._ask(wire.QUIET)
         finally:
             self._stopped_ns = self._kit.line.now_ns()
             if shown is not None:

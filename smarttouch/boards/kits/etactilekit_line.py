@@ -313,6 +313,11 @@ class WatchedPort:
         """Whether the watchdog has ended and set the board to zero."""
         return self._process.poll() in (watchdog.GONE, watchdog.SILENT)
 
+    @property
+    def left_to_watchdog(self) -> bytes:
+        """Bytes that the watchdog has written at its end."""
+        return 2 * self._zero if self.at_zero and self._beaten_ns is not None else b""
+
     def arm(self) -> None:
         """Arm the watchdog."""
         if self._beaten_ns is None:

@@ -1,0 +1,38 @@
+"""Current scales of published kits, nominal and measured."""
+
+import math
+
+from smarttouch.base.errors import BoardError
+
+BAND = 0.3  # accepted relative deviation from the nominal scale
+NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
+"""Current per count of each board's converter; 4096 counts of the kajimoto61 are 10 mA."""
+
+
+def require_in_band(ratio: float, what: str) -> None:
+    """Raise BoardError if a scale is too far from the nominal one, by their ratio."""
+    if not abs(ratio - 1) <= BAND + 1e-9:
+        raise BoardError(
+            f"{what} would be {ratio:.3g} times the nominal current, and boards differ by "
+            f"{100 * BAND:.0f} % at most: check units, connections, the resistor, and which board "
+            "this is, then measure again (smarttouch calibrate scale)"
+        )
+
+
+def measured_scale(
+    kind: str, before_ua: float | None, volts: float, ohm: float, current_ma: float
+) -> tuple[float, float | None]:
+    """Return the ratio of measured to nominal current, from the voltage across a resistor, and the
+    resulting scale, µA per count; None if the board has no scale. Raises BoardError if the ratio
+    deviates too much."""
+    for what, value in (("volts", volts), ("ohm", ohm), ("current_ma", current_ma)):
+        if not 0 < value < math.inf:
+            raise BoardError(f"{what} {value:g} must be above 0 and finite")
+    ratio = 1000 * volts / ohm / current_ma
+    require_in_band(ratio, f"{volts:g} V across {ohm:g} ohm")
+    scale_ua = None if before_ua is None else before_ua * ratio
+    if scale_ua is not None and kind in NOMINAL_UA:
+        # Compare with the nominal scale, even if the profile has a measured one.
+        rounded_ua = float(f"{scale_ua:.4g}")
+        require_in_band(rounded_ua / NOMINAL_UA[kind], f"output.ua_per_count = {rounded_ua:g}")
+    return ratio, scale_ua
