@@ -317,8 +317,10 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     tried = height * _X_HEIGHTS
     score = np.tensordot((1, 0.9), _on_levels(rise, tried[:, None]).mean(axis=-1), 1)
     x_height = float(tried[score.argmax()])
-    alike = np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]
-    x_height = float(rise[alike].mean()) if alike.any() else x_height
+    alike = rise[np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]]
+    # Letters of two heights may have a mean that is near to neither; the lower may suit them all.
+    heights = (float(alike.mean()), float(alike.min())) if len(alike) else (x_height,)
+    x_height = max(heights, key=lambda tried: _on_levels(rise, tried).any(axis=0).all())
     along = np.arange(right - left)
     halfway = np.rint(polynomial.polyval(along, curve) - x_height / 2)
     dark = ink[np.clip(halfway, 0, len(ink) - 1).astype(int), along + left]

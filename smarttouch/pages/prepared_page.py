@@ -199,11 +199,13 @@ def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Base
 
 
 _EVEN, _FEW, _SIMILAR, _MOST_OF_ALL = 0.85, 4, 1.7, 0.8
-"""Part of the letters at their levels of a line that needs few to be sure, and these few; ratio of
-sizes at which others are lines, and their part of all ink without any sure."""
+"""A line is even if this share of its letters has typical heights. An even line of these few
+letters is surely text. Other lines have sizes within this ratio of a sure one. Without a sure one,
+the lines count if they have this share of the page's ink."""
 _OWN, _AROUND, _FOREIGN, _NEAR_FOREIGN = (-1.8, 0.6), (-1.7, 0.5), 0.1, 0.5
-"""Extent of a line around its baseline, in x-heights, and of the ink around it, in letter heights;
-most foreign ink there, relative to its own and for each of its letters, also of an even line."""
+"""Reach above and below a baseline: of the line itself, in x-heights, and of the surroundings in
+which foreign ink is measured, in letter heights. For each letter of a line, foreign ink is less
+than these shares of the line's ink: usually, and near an even line."""
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:

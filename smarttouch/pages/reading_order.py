@@ -234,8 +234,9 @@ def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: flo
         return math.inf
     if level < _FEWEST:
         return 0.0
-    # Table rows are short, or farther apart than lines of prose.
-    step = max(map(_usual_step, (left, right))) / band[0][0].size
+    # Table rows are short, or farther apart than lines of prose. A heading above them is larger.
+    size = statistics.median(row[0].size for row in band)
+    step = max(map(_usual_step, (left, right))) / size
     least = _WIDEST if step > _LOOSE else _WIDER if printed else _WIDE_CELL
     return min(
         statistics.fmean((row[-1].right - row[0].left) / row[0].size for row in column) / least

@@ -122,6 +122,18 @@ def test_rows_are_narrow_or_loose(cells, step, by_rows):
     assert cell == [1, 2] * 5 if by_rows else [0] * 10
 
 
+def test_a_large_heading_in_two_parts_leaves_a_table_its_rows():
+    heading = [Segment("", x, x + 70, 200, 14.0, -1 - k) for k, x in enumerate((0, 90))]
+    rows = [
+        Segment("", x, x + 50, 230 + 16 * row, 8.0, -3 - 2 * row - k)
+        for row in range(8) for k, x in enumerate((0, 110))
+    ]  # fmt: skip
+    lines = reading_order([*heading, *rows], 1000)
+    assert [[-1 - word.place for word in line.segments] for line in lines[-8:]] == [
+        [2 + 2 * row, 3 + 2 * row] for row in range(8)
+    ]
+
+
 @pytest.mark.parametrize(("width", "is_doubtful"), [
     (30, False), (36, True), (44, True), (60, False),
 ])  # fmt: skip

@@ -69,6 +69,10 @@ PRINT = {
     "code": ([">>> a = markers(b)", "if x == y - 1: return", "a = 5"], {}, {}),
     "accents": (["Été à Évian, où naïve Ångström", "Straße, größer, übel, ÄÖÜ"], {}, {}),
     "a word": (["word"], {}, {}),
+    "few letters": (
+        ["Exact", "Least", "Short: Sent size", "Last input"],
+        {"size_pt": 9, "dpi": 200, "font": "DejaVuSans"}, {},
+    ),
     "commas aslant": (
         ["fat, flour; salt, pan, stock", "neck, wings; liver, heart, and", "so on, then, at last;"],
         {"size_pt": 14, "dpi": 200}, {"skew_deg": -3},
