@@ -53,8 +53,8 @@ def beside(pulses):
 if fault == "after zero":
     link.LinkFirmware._report = after_zero(link.LinkFirmware._report)
 elif fault == "volts":
-    encode = link.encode_volts
-    link.encode_volts = lambda volts: encode(np.full(len(volts), 650.0))
+    encode = link.link_packets.encode_volts
+    link.link_packets.encode_volts = lambda volts: encode(np.full(len(volts), 650.0))
 elif fault == "beside":
     kit.ETactileKitFirmware._pulses = beside(kit.ETactileKitFirmware._pulses)
 else:
