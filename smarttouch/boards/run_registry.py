@@ -143,12 +143,13 @@ class RunEntry:
         # Without file locks the run is still asked to stop.
         try_lock(self._lock_number)
         self._announce(0)
+        self._stop_file = str(self._run.path("stop"))
         threading.Thread(target=self._watch, name="stop requests", daemon=True).start()
 
     @property
     def is_asked(self) -> bool:
         """Whether a stop has asked this run to end."""
-        return self._run.has("stop")
+        return os.path.lexists(self._stop_file)
 
     def declare(self, current_ua: int, most_ua: int = 0) -> int:
         """Record the total current of this process's boards, and return the sum over all runs, µA.
