@@ -1,5 +1,6 @@
 """Any kind of image becomes the same grey picture, as a page and as a frame."""
 
+import io
 import zlib
 
 import cv2
@@ -249,14 +250,16 @@ def test_no_pixels_are_too_much(pixels):
 ])  # fmt: skip
 def test_copies_and_masks_of_a_tiff_are_no_pages(tmp_path, kinds, pages):
     """Bits of NewSubfileType: 1 for a smaller copy, 2 for a page of many, 4 for a mask."""
-    path = tmp_path / "pages.tif"
-    with TiffImagePlugin.AppendingTiffWriter(str(path), True) as file:
+    path, data = tmp_path / "pages.tif", io.BytesIO()
+    # Of a file that it has closed itself, Pillow's writer seeks the end once more.
+    with TiffImagePlugin.AppendingTiffWriter(data, True) as file:
         for number, kind in enumerate(kinds):
             tags = TiffImagePlugin.ImageFileDirectory_v2()
             if kind is not None:
                 tags[254] = kind
             Image.new("L", (40, 30), 10 * number).save(file, "tiff", tiffinfo=tags)
             file.newFrame()
+    path.write_bytes(data.getvalue())
     with Document(path, dpi=100) as document:
         assert [int(document.page(index).grey[0, 0]) for index in range(len(document))] == [
             10 * number for number in pages
