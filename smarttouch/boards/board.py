@@ -376,8 +376,8 @@ class Board:
         )
         if proved.peak_ua > 1000 * can.max_current_ma:
             # In a driver, larger counts could wrap around and reverse the current.
-            made = f"{proved.peak_ua / 1000:g} mA, of at most {can.max_current_ma:g} mA"
-            raise BoardError(f"this board cannot make {made}: lower limits.current_ma")
+            range_ma = f"at most {can.max_current_ma:g} mA, not {proved.peak_ua / 1000:g} mA"
+            raise BoardError(f"this board makes {range_ma}: lower limits.current_ma")
         try:
             self._number = proved.number
             if self._failure is not None:

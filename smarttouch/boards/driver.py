@@ -236,12 +236,7 @@ class Line:
         LineLostError
             If the connection is lost.
         """
-        with self.current(proved):
-            self._put(data, proved)
-
-    def _put(self, data: bytes, proved: ProvedSequence | None = None) -> None:
-        """Write bytes like `write`, within `current` with the same sequence."""
-        with self._open_port("cannot be written to") as port:
+        with self.current(proved), self._open_port("cannot be written to") as port:
             if proved is None:
                 port.write(data[:PIECE])
             elif not write_before(port, data[:PIECE], proved.write_before_ns, self.now_ns):

@@ -124,9 +124,6 @@ def show(
     levels: Annotated[
         Path | None, output_file("Also draw the comfortable current over time.", "PNG")
     ] = None,
-    fan_out: Annotated[
-        bool, option("Change output.wiring so that no tracks cross.", None, "--fan-out")
-    ] = False,
 ) -> None:
     """Print all values of a profile, including defaults and calibrations."""
     from smarttouch.base.errors import ProfileError
@@ -136,9 +133,6 @@ def show(
     from smarttouch.profile.toml_files import as_toml
 
     chosen = load_profile(name or DEFAULT_PROFILE)
-    if fan_out:
-        output = chosen.output.model_dump() | {"wiring": circuit_board.fan_out(chosen)}
-        chosen = chosen.model_copy(update={"output": output})
     if svg is not None:
         write_bytes(svg, circuit_board.drawing(chosen))
     if kicad is not None:

@@ -152,24 +152,23 @@ class Server:
         which stops the board and closes the port. If it is finite, SIGHUP ends the device as soon
         as it has no host.
         """
-        ended = False
-        signals = SIGNALS if math.isfinite(linger_s) else (signal.SIGTERM, signal.SIGINT)
+        ended, host_ns = False, _FIRST_HOST_S * 1e9
 
         def end(number: int, _frame: FrameType | None) -> None:
-            nonlocal ended, linger_s
+            nonlocal ended, linger_s, host_ns
             if number not in (signal.SIGTERM, signal.SIGINT):
-                linger_s = -_FIRST_HOST_S
+                linger_s = host_ns = 0
             else:
                 ended |= number == signal.SIGTERM or math.isinf(linger_s) or not self._hosted
 
-        for number in signals:
+        for number in SIGNALS if math.isfinite(linger_s) else (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, end)
         books = self._firmware.books
         books.write()
         # Print after setting handlers: a reader of the name may send a signal at once.
         print(said or self._line.name, flush=True)
         clock = DeviceClock(self._firmware.longest_step_ns)
-        host_ns, written_ns = _FIRST_HOST_S * 1e9, 0
+        written_ns = 0
         while not ended:
             data = self._line.read(_FULL_WAIT_S if self._waiting else self._firmware.wait_s(clock))
             now_ns = clock.now_ns()

@@ -82,9 +82,10 @@ class _DirectSession(LinkSession):
             self.wait_until(self._now_ns + _STEP_NS)
         return True
 
-    def _feed(self, packet: bytes, _proved: ProvedSequence | None) -> None:
-        self._said_ns = self._now_ns
-        self.take(self._firmware.feed(packet, self._now_ns))
+    def _feed(self, packet: bytes, proved: ProvedSequence | None) -> None:
+        with self.line.current(proved):
+            self._said_ns = self._now_ns
+            self.take(self._firmware.feed(packet, self._now_ns))
 
     def wait_until(self, end_ns: int) -> None:
         """Advance the time, with heartbeats."""

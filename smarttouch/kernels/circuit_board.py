@@ -24,13 +24,6 @@ _TEXT = '(at 0 0 0) (layer "F.Fab") (hide yes) (effects (font (size 1 1) (thickn
 _Pad = tuple[int, int | None, float, float, Shape, tuple[float, float]]
 
 
-def fan_out(profile: Profile) -> tuple[int, ...]:
-    """Return an ``output.wiring`` without crossing tracks. Each track runs down to its contact. It
-    passes lower electrodes on their right, unless they are farther right than its electrode."""
-    x_mm, y_mm = np.round(profile.electrodes.position_mm, 3).T
-    return tuple(np.argsort(np.lexsort((-y_mm, x_mm))).tolist())
-
-
 def write_kicad(profile: Profile, folder: Path) -> Path:
     """Write a board of KiCad 9 with electrodes and contacts; return its path.
 

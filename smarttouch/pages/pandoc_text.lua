@@ -133,7 +133,7 @@ return {
       local notes = pandoc.List()
       for kind, several in pairs(KINDS) do
         local number = left_out[kind] or 0
-        local which = kind == "formula" and #sources > 0 and ": " .. table.concat(sources, ", ", 1, math.min(#sources, 5)) or ""
+        local which = kind == "formula" and ": " .. table.concat(sources, ", ") or ""
         if number == 1 then notes:insert("1 " .. kind .. " is left out" .. which) end
         if number > 1 then notes:insert(number .. " " .. several .. " are left out" .. which) end
       end

@@ -12,7 +12,7 @@ _SAME_LINE, _SPACE = 0.3, 0.1  # tolerance of baselines of a line; smallest gap 
 _WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
 """Gaps that separate words, and figures, and the smallest gap common to all rows of a picture."""
 _APART, _FLUSH = 2.5, 0.4  # gap that separates segments; tolerance of the ends of justified text
-_NEAR, _FARTHER = 1.2, 1.6  # distance of lines, and of blocks, relative to the typical row distance
+_FARTHER = 1.6  # distance of blocks, relative to the typical row distance
 _EDGE = 0.125  # share of the page's height, at top and bottom, for running heads
 _WIDE_CELL, _WIDER, _WIDEST, _LOOSE = 5.0, 8.0, 13.0, 1.5
 """Mean line widths above which columns are prose: in pictures, in PDFs, and with loose rows; and
@@ -146,7 +146,7 @@ def _ordered(rows: list[Row]) -> list[Line]:
         ]
         share, gap = max(zip(shares, gaps, strict=True), default=(0.0, (0.0, 0.0)))
         insets: list[Row] = []
-        while share >= 1 and bands and (across := _insets(band, bands, gap)) is not None:
+        while share >= 1 and bands and (across := _insets(bands[0][0], gap)) is not None:
             insets += across
             band += [[part for part in row if [part] not in across] for row in bands.pop(0)[0]]
         parts = [_part(band, -math.inf, gap[1]), _part(band, gap[1]), insets]
@@ -160,24 +160,13 @@ def _ordered(rows: list[Row]) -> list[Line]:
     return lines
 
 
-def _insets(
-    band: list[Row], bands: list[tuple[list[Row], list[_Span]]], gap: _Span
-) -> list[Row] | None:
-    """Return the lines of the first of ``bands`` that lie across a gap of columns and have text at
-    both sides, as those of a caption do; None if other text lies across it.
-
-    A single line that continues across a gap consists of two joined lines, and stays in its column.
-    """
-    rows, middle = bands[0][0], sum(gap) / 2
-    across = [[part] for row in rows for part in row if part.left < middle < part.right]
+def _insets(rows: list[Row], gap: _Span) -> list[Row] | None:
+    """Return the lines that lie across a gap of columns and have text at both sides, as those of a
+    caption do; None if other text lies across it."""
+    across = [[part] for row in rows for part in row if part.left < gap[1] and part.right > gap[0]]
     beside = [[part for part in row if [part] not in across] for row in rows]
-    sides = _part(beside, -math.inf, middle), _part(beside, middle)
-    if len(across) <= 2 * min(map(len, sides)):
-        return across
-    goes_on = any(left < middle < right for _, gaps in bands[1:2] for left, right in gaps)
-    is_level = abs(rows[0][0].left - band[-1][0].left) < _FLUSH * rows[0][0].size
-    is_near = rows[0][0].y - band[-1][0].y < _NEAR * _usual_step(band)
-    return [] if goes_on and is_level and is_near else None
+    sides = _part(beside, -math.inf, gap[1]), _part(beside, gap[1])
+    return across if len(across) <= 2 * min(map(len, sides)) else None
 
 
 def _blocks(rows: list[Row]) -> list[list[Row]]:

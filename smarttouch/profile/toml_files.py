@@ -1,6 +1,5 @@
 """Loading of profiles by name and from TOML files."""
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from smarttouch.base.errors import ProfileError
-from smarttouch.base.files import data_folder, read_toml
+from smarttouch.base.files import data_folder, file_at, read_toml
 from smarttouch.profile.profile import Profile
 from smarttouch.profile.toml_tables import Table, table_error
 
@@ -69,7 +68,7 @@ def profile_path(name: str | Path) -> Path:
     path = data_folder("calibration") / f"{name}.toml"
     if str(name) not in list_profiles():
         path = Path(str(name))
-        if not os.path.exists(path):  # noqa: PTH110, Path.exists raises for long names
+        if file_at(str(name)) is None:
             raise ProfileError(
                 f"no profile {str(name)!r}: give a TOML file or one of "
                 f"{', '.join(list_profiles())}",

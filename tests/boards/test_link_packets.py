@@ -169,7 +169,7 @@ class Reads:
     long."""
 
     name = "here"
-    now_ns = _put = None
+    now_ns = write = None
 
     def __init__(self, packets, *pieces):
         self.packets, self.pieces, self.number = packets, list(pieces), 0

@@ -9,7 +9,6 @@ import pytest
 
 import smarttouch as st
 from smarttouch.boards.kits.etactilekit import ETactileKitDriver
-from smarttouch.kernels.circuit_board import fan_out
 from smarttouch.profile.toml_files import as_toml
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
@@ -117,10 +116,9 @@ def test_copper_is_that_of_the_profile_to_a_micrometer(export, name):
     assert [shape.text for shape in drawing if shape.text and shape.text.strip()] == sites
 
 
-@pytest.mark.parametrize("options", [(), ("--fan-out",)])
-def test_a_driver_reaches_each_electrode_through_the_board(export, options):
+def test_a_driver_reaches_each_electrode_through_the_board(export):
     """From the driver's output by the contact and its net to the electrode's place."""
-    profile, board, _ = export("etactilekit-32", *options)
+    profile, board, _ = export("etactilekit-32")
     electrodes, connector = parts(board, "footprint")
     nets = {code: name for _, code, name in parts(board, "net")}
     place_of = {parts(pad, "net")[0][1]: numbers(pad, "at") for pad in parts(electrodes, "pad")}
@@ -134,17 +132,6 @@ def test_a_driver_reaches_each_electrode_through_the_board(export, options):
         net = net_of[output + 1]
         assert nets[net] == str(site)
         np.testing.assert_allclose(place_of[net], position, rtol=0, atol=0.001)
-
-
-def test_no_tracks_cross_on_one_layer():
-    """Each runs straight down to its contact, on the right of the electrodes below it."""
-    profile = st.load_profile("kajimoto-61")
-    x_mm, y_mm = profile.electrodes.position_mm.T
-    contact = np.array(fan_out(profile))
-    assert sorted(contact) == [*range(61)]
-    for site in range(61):
-        passed = (y_mm > y_mm[site] + 0.1) & (x_mm <= x_mm[site] + 0.1)
-        assert (contact[passed] < contact[site]).all()
 
 
 def test_wiring_of_the_profile_is_followed_and_free_outputs_stay_bare(export, tmp_path):

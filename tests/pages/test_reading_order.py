@@ -65,7 +65,6 @@ def columns(*tops, count=4):
             (RIGHT, 100),
             ((30, 60), 60),
         ),
-        [*columns((LEFT, 20)), (BOTH, 60), *columns((LEFT, 70), (RIGHT, 20), (RIGHT, 70))],
     ],
     ids=[
         "columns",
@@ -78,7 +77,6 @@ def columns(*tops, count=4):
         "parts",
         "foot",
         "caption",
-        "joined across the gap",
     ],
 )
 def test_lines_in_the_order_in_which_they_are_read(lines):

@@ -63,7 +63,7 @@ class LinkSession:
     line: Line
     now_s: Callable[[], float] = staticmethod(time.monotonic)  # clock of timeouts
     now_ns: Callable[[], int]  # clock of sequences
-    put: Callable[[bytes, ProvedSequence | None], None]  # writes a packet, within `Line.current`
+    put: Callable[[bytes, ProvedSequence | None], None]  # writes a packet, like `Line.write`
 
     def __init__(
         self, receive: Callable[[Message], None], draw: Callable[[], int] = protocol.draw_half
@@ -92,7 +92,7 @@ class LinkSession:
 
     def open(self, line: Line) -> None:
         """Start reading from a connected line."""
-        self.line, self.now_ns, self.put = line, line.now_ns, line._put
+        self.line, self.now_ns, self.put = line, line.now_ns, line.write
         self._restart()
         self._closed.clear()
         self.written_s: float = self.now_s()  # time of the last written packet
@@ -184,7 +184,7 @@ class LinkSession:
         """Write the next packet of the session; for a packet with a sequence see `Line.write`."""
         try:
             # Number packets under the lock, so that they are sent in order.
-            with self.line.current(proved):
+            with self.line.current():
                 # A leading zero ends an incomplete packet on the line.
                 zero = b"\0" * (proved is None)
                 self.put(zero + self.encode(kind, about, payload), proved)
