@@ -33,7 +33,7 @@ from smarttouch.physiology.membrane import (
 )
 from smarttouch.profile import Profile, load_profile
 from smarttouch.views.progress import progress
-from smarttouch.views.terminal import print_table
+from smarttouch.views.terminal_output import print_table
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

@@ -14,7 +14,7 @@ from smarttouch.cli.options import (
     require_site,
 )
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board
-from smarttouch.views.terminal import print_table
+from smarttouch.views.terminal_output import print_table
 
 if TYPE_CHECKING:
     from smarttouch.base.events import Event
@@ -95,7 +95,7 @@ def show(
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources import open_source
     from smarttouch.sources.force import FORCES, open_force
-    from smarttouch.sources.source_sample import sample_force, sample_source
+    from smarttouch.sources.source_statistics import sample_force, sample_source
 
     kind = url.partition(":")[0]
     if kind in BOARDS.names:

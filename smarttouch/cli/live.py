@@ -15,7 +15,7 @@ from smarttouch.cli.options import (
     takes_options,
 )
 from smarttouch.views.keys_and_signals import drives_a_board
-from smarttouch.views.terminal import print_table
+from smarttouch.views.terminal_output import print_table
 
 
 @takes_options

@@ -269,7 +269,7 @@ def _print_cells(lines: list[str]) -> None:
 def _print_tables() -> None:
     from smarttouch.braille import louis
     from smarttouch.braille.code_tables import DEFAULT_TABLE, known_tables
-    from smarttouch.views.terminal import print_table
+    from smarttouch.views.terminal_output import print_table
 
     version = louis.version()
     print_table(

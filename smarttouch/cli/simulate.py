@@ -55,7 +55,7 @@ def simulate_page(
     from smarttouch.reading.material import ReadingMaterial
     from smarttouch.running.config import RunConfig
     from smarttouch.views.progress import bank_progress, progress
-    from smarttouch.views.terminal import print_table
+    from smarttouch.views.terminal_output import print_table
 
     chosen = profile_for_reading(load_profile(profile))
     notes: list[str] = []
@@ -103,7 +103,7 @@ def study(
         study_table,
     )
     from smarttouch.views.progress import bank_progress, progress
-    from smarttouch.views.terminal import print_table
+    from smarttouch.views.terminal_output import print_table
 
     asked = load_study(plan)
     with (

@@ -219,7 +219,7 @@ def test_bounds_of_profiles():
     assert (slow.pulse_us, slow.rate_hz) == (150, Fraction(603, 10))
 
 
-ORACLE = ("bounds", "quick", "oracle", "deliveries")
+ORACLE = ("bounds", "quick", "oracle", "delivery_judge")
 """The modules that judge; the others ask them, and the gate."""
 MAY = (
     "smarttouch.profile", "smarttouch.profile.electrodes", "smarttouch.emulator.firmware",

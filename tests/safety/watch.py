@@ -15,7 +15,7 @@ from smarttouch.profile import list_profiles, load_profile
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from .bounds import Bounds
-from .deliveries import Pulses, judge_pulses
+from .delivery_judge import Pulses, judge_pulses
 from .oracle import Oracle
 
 OF_PROFILE = "bounds of its profile"

@@ -10,7 +10,7 @@ from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 
 from .bounds import Bounds
 from .by_hand import FULL
-from .deliveries import Pulses, judge_pulses
+from .delivery_judge import Pulses, judge_pulses
 from .displays import display
 
 MS = 1000
