@@ -128,6 +128,8 @@ def test_exponents_and_indices_are_technical_notation(name):
     assert all(part in cells for part in ("⠼⠁⠚⠔⠼⠋", "⠭⠰⠔⠼⠃", "⠠⠓⠰⠢⠼⠃⠠⠕", "⠔⠣⠐⠤⠼⠉⠜"))
     assert table.to_cells("about 10⁶, x²") == cells[: len(table.to_cells("about 10^6, x^2"))]
     assert table.to_text(cells) == text
+    # Other programs write no indicator before a letter that does not stand alone.
+    assert table.to_text("⠭⠰⠔⠼⠃") == "x^2"
 
 
 @pytest.mark.parametrize("name", TABLES)
