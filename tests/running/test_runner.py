@@ -132,10 +132,15 @@ def test_an_exception_in_a_listener_ends_at_zero(source, display, stage, monkeyp
 def test_an_interrupted_run_ends_at_once_and_its_program_goes_on():
     """As by the stop button of a notebook."""
     results, main = [], threading.main_thread().ident
-    threading.Timer(1.0, signal.pthread_kill, (main, signal.SIGINT)).start()
+
+    def interrupt(result):
+        results.append(result)
+        if len(results) == 20:
+            threading.Thread(target=signal.pthread_kill, args=(main, signal.SIGINT)).start()
+
     with pytest.raises(KeyboardInterrupt):
-        st.run("text:a long line of text", "memory:", seconds=60, listeners=[results.append])
-    assert 5 < len(results) < 500
+        st.run("text:a long line of text", "memory:", seconds=60, listeners=[interrupt])
+    assert 20 <= len(results) < 500
     assert st.run("text:a", "memory:", seconds=0.1).frames == 5
 
 
