@@ -77,7 +77,7 @@ class Ours:
         image = self.images[self.count % len(self.images)]
         if self.count % 1000 == 0:
             self.gate.begin_session()
-            self.pipeline.restart_softly()
+            self.pipeline.restart_at_zero()
         frame = Frame(image, self.count * FULL_NS, Pose(0, 0), 1.0)
         self.count += 1
         sequence = self.gate.check(self.pipeline.process(frame).sequence)

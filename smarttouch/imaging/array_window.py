@@ -1,4 +1,4 @@
-"""Image under the array, for reading without the optics of a source."""
+"""Images of rendered text under the array, for reading without an optical sensor."""
 
 from smarttouch.imaging.registration import PIXELS_PER_CELL
 from smarttouch.profile import Profile
@@ -9,10 +9,10 @@ _PRESS = 1.1  # reading force of a virtual finger, relative to the profile's ful
 
 
 def profile_for_reading(profile: Profile) -> Profile:
-    """Return a copy of a profile whose frames are the image under the array, at scale 1.
+    """Return a copy of a profile in which a frame shows exactly the area of the array, at scale 1.
 
-    Read text does not come from an optical source, so optics, registration and flat field are
-    removed.
+    Rendered text is not seen by a sensor, so the copy has no magnification, rotation, offset,
+    homography or flat field.
     """
     width_mm, height_mm = profile.electrodes.extent_mm
     pixel_mm = pixel_pitch_mm(profile)

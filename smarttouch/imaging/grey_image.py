@@ -1,4 +1,4 @@
-"""Images of files, cameras and programs as 8-bit gray levels."""
+"""Reading of image files, and conversion of images to 8-bit gray levels."""
 
 import struct
 import warnings
@@ -16,30 +16,30 @@ from smarttouch.base.errors import PageError
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
 
 Pixels = NDArray[Any]
-MOST_PIXELS = 100_000_000  # of a page
+MOST_PIXELS = 100_000_000  # largest number of pixels of a page
 _MIXES = np.vstack([(0.299, 0.587, 0.114), np.eye(3)[[1, 0, 2]], (1 - np.eye(3)) / 2])
-"""Weights of red, green and blue that may show colored print: luma (ITU-R BT.601) and others."""
-_AROUND = np.ones((5, 5), np.uint8)  # window in which an edge is looked for
+"""Weights of red, green and blue to choose from: luma (ITU-R BT.601), one channel, mean of two."""
+_AROUND = np.ones((5, 5), np.uint8)  # neighborhood of a pixel for the detection of edges
 _EDGE_LEVELS, _FEWEST_EDGES = 40, 50
-"""Smallest difference in a channel at an edge, and number of pixels considered."""
-_PRINT_SHARE = 0.1  # edges within a picture with print, relative to the length of its outline
-_NO_PAGE = 1 | 4  # bits of reduced images and masks in the NewSubfileType of a TIFF
+"""Smallest difference of gray levels at an edge, and number of edge pixels to choose weights by."""
+_PRINT_SHARE = 0.1  # share of edge pixels, relative to the outline, above which a picture has print
+_NO_PAGE = 1 | 4  # bits of thumbnails and masks in the NewSubfileType of a TIFF
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
 """Exceptions of Pillow for damaged files."""
 
 
 class GreyConverter:
-    """Converts the images of one source to gray levels.
+    """Converter of the images of one source to gray levels.
 
-    Images may not state the level of white, the background of transparency and the weights of
-    colors. These are chosen for the first image that needs them, and kept for later ones. White and
-    weights change only if a later image requires it.
+    Many images do not state the level of white, the background of transparent pixels or the weights
+    of colors. The converter chooses these for the first image that needs them, and keeps them for
+    later images. White and weights change only if a later image requires it.
     """
 
     def __init__(self) -> None:
         self._black, self._white = 0.0, np.float64(0)
         self._mix = 0
-        self._ground: tuple[int, int | None] | None = None  # and the level of a uniform image
+        self._ground: tuple[int, int | None] | None = None  # as from `_ground`
 
     def convert(self, pixels: Pixels) -> NDArray[np.uint8]:
         """Convert an image to gray levels, (H, W) uint8.
@@ -60,7 +60,7 @@ class GreyConverter:
             colors = _scaled(colors, self._black, self._white)
         if alpha.size:
             alpha = _scaled(alpha, 0.0, _white_level(alpha))
-            # Ignore invisible colors.
+            # Ignore the colors of invisible pixels.
             colors = np.where(alpha > 0, colors, np.uint8(0))
         grey = colors[:, :, 0]
         if colors.shape[2] > 1:
@@ -76,20 +76,20 @@ class GreyConverter:
 
 
 def _ground(grey: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> tuple[int, int | None]:
-    """Return the background level of a transparent image. If its outline is the print, also return
-    the level of the print, else None."""
+    """Return the background level for a transparent image. Also return the level of the print if
+    the outline of the visible part is the print, or None if print lies within this part."""
     visible = np.asarray(alpha >= max(1, int(alpha.max()) // 2), np.uint8)
     inner = cv2.erode(visible, _AROUND) > 0
     edges = cv2.morphologyEx(grey, cv2.MORPH_GRADIENT, _AROUND)[inner] >= _EDGE_LEVELS
     if edges.sum() > _PRINT_SHARE * (visible.sum() - inner.sum()):
-        # A picture with print continues around itself.
+        # The image contains print: extend the paper of the image, white or black, around it.
         return (255, None) if np.median(grey[inner]) >= 128 else (0, None)
     return (0, 255) if alpha.mean() >= 128 else (255, 0)
 
 
 def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
-    """Return the index of the weights that show most edges of a colored image at half or more of
-    their contrast in the best channel; the present weights if they are nearly as good."""
+    """Return the index of the weights that keep edges of a colored image best: an edge counts fully
+    at half its largest contrast. Return ``present`` if these weights are nearly as good."""
     mixed = cv2.transform(colors[:: 1 + len(colors) // 400], _MIXES)
     edges = cv2.morphologyEx(mixed, cv2.MORPH_GRADIENT, _AROUND)
     edges = edges[edges.max(axis=2) >= _EDGE_LEVELS].astype(np.float32)
@@ -100,8 +100,8 @@ def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
 
 
 def _white_level(values: Pixels, black: float = 0.0) -> np.float64:
-    """Return the level of white of images that do not state it: the largest value of the fewest
-    bits that hold their levels; of at least 8 bits for integers that are not only 0 and 1."""
+    """Estimate the level of white: the largest number with as many bits as the levels need (at
+    least 8 bits for integers above 1), or the range of the levels if some are negative."""
     peak = float(values.max()) - black
     least = 1 if values.dtype.kind == "f" or peak <= 1 else 255
     return np.float64(peak if black < 0 < peak else max(least, 2 ** int(peak).bit_length() - 1))
@@ -117,7 +117,7 @@ def open_image(path: Path) -> Iterator[Image.Image]:
     """Open an image file; exceptions of Pillow, also within the block, become PageErrors."""
     try:
         with warnings.catch_warnings():
-            # Sizes are checked later; damage raises errors or is harmless.
+            # Ignore warnings: sizes are checked later, and damage raises errors or is harmless.
             warnings.filterwarnings("ignore", module=r"PIL\.")
             # Open the file here: with a path, Pillow 13 maps it to memory and reads rotated TIFFs
             # wrongly.
@@ -127,15 +127,15 @@ def open_image(path: Path) -> Iterator[Image.Image]:
         message = f"{path} is not a readable image or document: give a PDF, PNG, JPEG or TIFF"
         raise PageError(message) from None
     except Image.DecompressionBombError:
-        message = f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"
+        message = f"{path} has over {MOST_PIXELS // 10**6} megapixels: reduce its size first"
         raise PageError(message) from None
     except _DAMAGES as error:
         raise PageError(f"{path} cannot be read: {error}") from None
 
 
 def page_frames(image: Image.Image) -> list[int]:
-    """Return the frames of an open image that are pages: for a TIFF without thumbnails and masks;
-    for an animation the first."""
+    """Return the indexes of the pages in an open image: all frames of a TIFF except thumbnails and
+    masks, or the first frame of an animation."""
     frames: Any = ImageSequence.Iterator(image) if image.format == "TIFF" else []
     kinds = [frame.tag_v2.get(ExifTags.Base.NewSubfileType, 0) for frame in frames]
     return [k for k, kind in enumerate(kinds) if not kind & _NO_PAGE] or [*range(len(kinds) or 1)]
@@ -150,13 +150,13 @@ def read_pixels(image: Image.Image) -> Pixels:
         pixels = np.asarray(upright)
         if getattr(image, "tag_v2", {}).get(ExifTags.Base.PhotometricInterpretation) != 0:
             return pixels
-        # Pillow inverts such images only with 8 bits.
+        # In this image 0 is white. Pillow inverts such images only if they have 8 bits.
         return np.asarray(_white_level(pixels).astype(pixels.dtype) - pixels)
     mode = "RGBA" if upright.has_transparency_data else "L" if upright.mode in ("1", "L") else "RGB"
     pixels = np.asarray(upright.convert(mode))
     if not is_deep or file is None:
         return pixels
-    # Pillow reads only the upper bytes of colors.
+    # Pillow reads only the upper byte of 16-bit colors, so read them with OpenCV.
     data, flags = np.fromfile(file.name, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
     is_read, pages = cv2.imdecodemulti(data, flags, None, (frame, frame + 1))
     if not is_read:

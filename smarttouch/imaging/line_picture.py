@@ -13,7 +13,7 @@ Floats = NDArray[np.float32]
 
 
 class Raster:
-    """Sum or maximum of values at pixels; values outside are dropped."""
+    """Sum, or maximum if ``strongest``, of the values at each pixel; values outside are dropped."""
 
     def __init__(self, shape: tuple[int, int], strongest: bool = False) -> None:
         self.value: Floats = np.zeros(shape, np.float32)
@@ -41,12 +41,12 @@ def as_ink(values: Floats) -> NDArray[np.uint8]:
 
 PIXELS_PER_PITCH = 4
 _BLUR_X, _BLUR_Y = 0.4, 0.55
-"""Standard deviations of the blur, in cells: just sufficient to fill gaps between rows. Determined
-on printed lines."""
+"""Standard deviations of the blur, in cells. They just fill the gaps between rows of electrodes,
+according to tests with printed lines."""
 
 
 class LinePicture:
-    """Averages the values of electrodes at the places that they passed along a line."""
+    """Mean of the electrodes' values at each place that they passed along a line of print."""
 
     def __init__(self, electrodes: ElectrodeArray, length_mm: float) -> None:
         self._pixel_mm = min(electrodes.cell_mm) / PIXELS_PER_PITCH

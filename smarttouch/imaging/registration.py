@@ -13,23 +13,23 @@ from smarttouch.profile import Optics
 from smarttouch.profile.electrodes import ElectrodeArray
 
 PIXELS_PER_CELL = 8
-"""Pixels across the cell of an electrode; finer frames are reduced to this."""
+"""Number of pixels across the cell of an electrode to which finer frames are reduced."""
 _SAMPLES = 6  # samples per pixel and axis for the overlap of cell and pixel
 
 
 class Apertures(NamedTuple):
-    """Pixels under each electrode, at most P."""
+    """Pixels under each electrode, at most P, and their weights."""
 
     pixel: NDArray[np.intp]  # (P, E)
     share: NDArray[np.float32]  # (P, E) weight of each pixel in the mean, divided by 255
 
 
 class Registration:
-    """Averages the ink under the aperture of each electrode.
+    """Registration of frames with an array, to average the ink in the aperture of each electrode.
 
-    The aperture is the cell of the array divided by the magnification: a rectangle on the page, a
-    quadrilateral in the image of a tilted camera. The value is the area-weighted mean; sampling
-    single pixels would alias. Frames are binarized at `working_shape`, which follows from
+    The aperture is the cell of the electrode divided by the magnification: a rectangle on the page,
+    a quadrilateral in the image of a tilted camera. The mean is weighted by area: samples of single
+    pixels would alias. Frames are binarized at `working_shape`, which follows from
     `PIXELS_PER_CELL`. Raises ProfileError for an impossible homography.
     """
 
@@ -61,8 +61,8 @@ class Registration:
 
 def _reduced_side(side: int, wanted: float) -> int:
     """Return ``side`` divided by the largest integer such that the result is at least ``wanted``.
-    OpenCV reduces faster by integers."""
-    # Tolerate rounding errors: without this the factor could be too small by one.
+    OpenCV reduces images faster by integer factors."""
+    # Without a tolerance for rounding errors, the factor could be too small by one.
     largest = math.floor(side / wanted * (1 + 1e-9))
     return side // next(factor for factor in range(max(1, largest), 0, -1) if side % factor == 0)
 
@@ -110,7 +110,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
     nth = np.arange(len(pixel_index)) - (counts.cumsum() - counts)[electrode]
     pixels = np.zeros((counts.max(initial=0), len(electrodes)), np.intp)
     shares = np.zeros(pixels.shape, np.float32)
-    # weights of 1, 2, … samples, added in single precision
+    # The cumulative sum has the weights of 1, 2, … samples, in single precision.
     weights = np.full(samples.max(initial=1), 1 / (255 * across * down), np.float32)
     pixels[nth, electrode], shares[nth, electrode] = pixel, weights.cumsum()[samples - 1]
     return Apertures(pixels, shares)
@@ -119,7 +119,8 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
 def on_frame(
     x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], optics: Optics
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return places on the page relative to the sides of a frame; NaN behind a tilted camera."""
+    """Convert places on the page to places in a frame, as shares of its sides; NaN behind a tilted
+    camera."""
     if optics.homography is None:
         turn = math.radians(optics.rotation_deg)
         cos, sin = math.cos(turn), math.sin(turn)
@@ -128,7 +129,7 @@ def on_frame(
         return across / optics.field_width_mm + 0.5, down / optics.field_height_mm + 0.5
     a, b, c, d, e, f, g, h, one = optics.homography
     before = g * x_mm + h * y_mm + one
-    # The middle of the array is in front of the camera.
+    # The middle of the array is in front of the camera; other signs are behind the camera.
     before = np.where(before * np.sign(one) > 1e-9, before, np.nan)
     column, row = (a * x_mm + b * y_mm + c) / before, (d * x_mm + e * y_mm + f) / before
     return (column + 0.5) / optics.sensor_columns, (row + 0.5) / optics.sensor_rows
@@ -139,7 +140,7 @@ def _field_mm(
 ) -> tuple[float, float]:
     """Return width and height of a frame on the page, extrapolated from the scale at one electrode.
 
-    With a tilted camera the scale varies: take the coarsest or the finest electrode.
+    With a tilted camera the scale varies: use the electrode with the coarsest or finest scale.
     """
     if optics.homography is None:
         return optics.field_width_mm, optics.field_height_mm
@@ -148,13 +149,13 @@ def _field_mm(
     middle = np.array(on_frame(x_mm, y_mm, optics))
     right = np.array(on_frame(x_mm + step_mm, y_mm, optics)) - middle
     down = np.array(on_frame(x_mm, y_mm + step_mm, optics)) - middle
-    # Frame sides per millimeter, along rows and along columns.
+    # Frame widths and frame heights per millimeter, at each electrode.
     parts = np.hypot(right, down) / step_mm
     chosen = parts.max(axis=1) if finest else parts.min(axis=1)
     if not ((chosen > 0) & (chosen * min(electrodes.cell_mm) <= optics.magnification)).all():
         raise ProfileError(
-            "optics.homography puts an electrode outside of the camera's view, or covers less than "
-            "one: calibrate the registration again, or remove it",
+            "optics.homography puts an electrode outside of the camera's view, or the view is "
+            "smaller than one electrode: calibrate the registration again, or remove the key",
             key="optics.homography",
         )
     width_mm, height_mm = (1 / chosen).tolist()

@@ -15,24 +15,24 @@ from smarttouch.profile import Profile
 
 LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper
 LEAST_GRAINS, PALE = 4.0, 0.3
-"""Smallest contrast of print relative to the paper's grain, and contrast above which grain is
-ignored."""
-BLURRED = 0.3  # contrast above which blurred print counts as ink, at most 0.6 of the deepest
+"""Smallest contrast of print relative to the paper's grain; and contrast, relative to white paper,
+above which grain is ignored."""
+BLURRED = 0.3  # contrast above which blurred print counts as ink, at most 0.6 of the largest
 GREY_GUARD = 0.41  # share of pixels between paper and ink above which a frame is noise
-BLACK = 0.2  # level, relative to white, below which wide areas are print, not a dark table
-WHITE_DECAY_PER_S = 0.3  # rate at which the white level falls: slow enough for a black headline
+BLACK = 0.2  # level, relative to white, below which wide areas are print, not a dark desk
+WHITE_DECAY_PER_S = 0.3  # decay rate of the white level: a black headline must not become white
 _CLASSES, _ROWS = len(Afferent), {mode: mode.afferents[0] for mode in Mode}
 _SAMPLES = 32  # rows and columns of the sample from which levels are estimated
 
 
 class Binarizer:
-    """Separates ink from paper in successive frames of one shape.
+    """Binarizer, which separates ink from paper in successive frames of one shape.
 
     The threshold is halfway between paper and ink, or darker in a blurred frame. The paper level is
-    the frame after removal of dark spots narrower than half of it, so that shadows and tables are
-    not ink. Only black areas may be wider: they are compared with the white level of earlier
-    frames. A frame has no ink if its contrast is low, or if many pixels lie between paper and ink,
-    as in noise.
+    the frame after removal of dark spots narrower than half the frame, so that wide shadows and a
+    dark desk are not ink. Wide areas are ink only if they are black compared with the white level,
+    which earlier frames also determine. A frame has no ink if its contrast is low, or if many
+    pixels lie between paper and ink, as in noise.
     """
 
     def __init__(self, shape: tuple[int, int], light_on_dark: bool = False) -> None:
@@ -46,7 +46,7 @@ class Binarizer:
     def ink(self, image: NDArray[np.uint8], time_ns: int, touching: bool) -> NDArray[np.uint8]:
         """Return a mask, (H, W) uint8, 255 for ink.
 
-        While the finger is lifted, the white level is that of the frame.
+        While the finger is lifted, earlier frames have no effect on the white level.
         """
         image = ~image if self._light_on_dark else image
         sample = np.ascontiguousarray(cv2.blur(image, (3, 3))[self._sample])
@@ -72,17 +72,17 @@ ADAPTATION_S = 0.04
 """Time constant of adaptation to constant ink. Our choice: longer than the period of RA pulses, but
 short enough that a stroke at reading speed does not smear over the next letter."""
 LEAVING = 0.4
-"""RA drive by leaving ink relative to arriving ink: RA responds less to the end of a touch. At full
-strength, the last stroke would be felt beside the current one."""
-FAINTEST_CHANGE = 0.15  # smallest change above sensor noise
+"""Drive of RA by leaving ink, relative to arriving ink: RA responds less to the end of a touch. At
+full strength, the previous stroke would be felt beside the present stroke."""
+FAINTEST_CHANGE = 0.15  # smallest change of ink that exceeds sensor noise
 
 
 class NaturalDrive:
-    """Splits a tactile image into changes, for RA, and a sustained part, for SAI.
+    """Filter that splits ink into changes, for RA, and a sustained part, for SAI.
 
-    Each electrode has a low-pass memory of its activation. The difference from the memory is the
-    change, by ink that arrives or leaves; the rest is sustained. With `last_ns` None, as after the
-    finger landed, all ink is new.
+    A low-pass filter follows the ink at each electrode. The difference from the filtered value is
+    the change, by ink that arrives or leaves; the rest is sustained. If `last_ns` is None, as when
+    the finger lands, all ink counts as change.
     """
 
     def __init__(self, electrodes: int) -> None:
@@ -96,8 +96,8 @@ class NaturalDrive:
         time_ns: int,
         touching: bool,
     ) -> None:
-        """Set the rows RA and SAI of ``activation``, (3, E), from ink, (E,); without touch all ink
-        is new."""
+        """Set the rows RA and SAI of ``activation``, (3, E), from ink, (E,); without touch, all ink
+        counts as change."""
         if self.last_ns is None or not touching:
             self._slow[:] = 0
         change, sustained = activation[Afferent.RA], activation[Afferent.SAI]
@@ -123,11 +123,11 @@ class Tone:
     faintest: float = 0.15  # share of ink in a cell above which the electrode is active
     # share of ink for full activation; if equal to `faintest`, electrodes are on or off
     fullest: float = 0.5
-    prepared: bool = False  # whether frames are already ink on pure white, without a threshold
+    prepared: bool = False  # whether frames show ink on pure white, so that no threshold is needed
 
 
 class TactileMapper:
-    """Maps frames to tactile images for a profile's array and optics."""
+    """Mapper of frames to tactile images, for a profile's array and optics."""
 
     def __init__(
         self, profile: Profile, light_on_dark: bool = False, tone: Tone | None = None

@@ -82,7 +82,7 @@ class SocketSource(Program):
         # Put an empty pattern, so that time advances for screens and recordings.
         self.put(self._nothing, 0)
         while not self._closing.is_set():
-            self._require_life()
+            self._require_loop()
             await asyncio.sleep(_LOOK_S)
         server.close()
 

@@ -266,7 +266,7 @@ def letter_sequences(
         drawn = draw_letter(letter, profile)
         activation = np.zeros((len(Afferent), len(drawn)), np.float32)
         activation[list(mode.afferents)] = drawn
-        pipeline.restart_softly()
+        pipeline.restart_at_zero()
         level = 0.0
         while level < intensity and drawn.any():
             # These pulses raise the intensity through the ramp.

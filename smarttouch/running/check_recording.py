@@ -1,4 +1,4 @@
-"""Check of recordings: recorded inputs are processed again, and sequences are compared exactly."""
+"""Check of recordings: process the recorded inputs again, and compare the sequences exactly."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -29,9 +29,9 @@ _COMPARED = (
 
 @dataclass
 class CheckReport:
-    """Result of a check: compared numbers, number of differences, and the first `KEPT` of them.
+    """Result of a check: numbers of compared items, and differences; the first `KEPT` are listed.
 
-    ``left_out`` describes parts that could not be compared.
+    ``different`` counts all differences. ``left_out`` describes what could not be compared.
     """
 
     frames: int = 0
@@ -60,10 +60,10 @@ class CheckReport:
 def check_recording(
     path: Path | str, *, bank: KernelBank | None = None, profile: Profile | None = None
 ) -> CheckReport:
-    """Process the recorded frames and stimuli again, and compare the sequences.
+    """Process the recorded frames and stimuli again, and compare the new and recorded sequences.
 
-    The defaults are the recorded profile and its kernels by this version. Raises RecordingError if
-    the recording cannot be read, has no sequences, or lacks settings.
+    By default this uses the recorded profile, with kernels of this version. Raises RecordingError
+    if the recording cannot be read, has no sequences, or lacks settings.
     """
     recording = RecordedRun(path)
     profile = recording.profile if profile is None else profile
@@ -71,8 +71,8 @@ def check_recording(
     report, image = CheckReport(), None
     for recorded in recording.steps():
         if recorded.index != report.sequences:
-            # Missing steps would change the following ones.
-            report.left_out = f"all after {recorded.step.input.time_ns / 1e9:.1f} s follows a gap"
+            # Sequences depend on earlier steps, so nothing after a gap can be compared.
+            report.left_out = f"a gap: not compared from {recorded.step.input.time_ns / 1e9:.1f} s"
             break
         if profile.limits.ramp_s != recording.profile.limits.ramp_s:
             recorded = replace(
@@ -119,8 +119,8 @@ def rebuild_pipeline(recording: RecordedRun, profile: Profile, bank: KernelBank)
         if run.carried_pc:
             if len(run.carried_pc) != len(ledger.charge_pc):
                 raise RecordingError(
-                    f"the settings in {recording.path} name the charge of {len(run.carried_pc)} "
-                    f"electrodes, and the profile has {len(ledger.charge_pc)}: compare with the "
+                    f"the settings in {recording.path} contain the charge of {len(run.carried_pc)} "
+                    f"electrodes, but the profile has {len(ledger.charge_pc)}: check with the "
                     "recorded profile"
                 )
             ledger.charge_pc[:] = run.carried_pc
@@ -136,7 +136,7 @@ def _again(recorded: RecordedStep, pipeline: Pipeline) -> ScanSequence:
     if step.mode is not pipeline.mode:
         pipeline.change_mode(step.mode)
     if step.restarted:
-        pipeline.restart_softly()
+        pipeline.restart_at_zero()
     again = pipeline.process(step.input, step.level, step.allowed, step.observed).sequence
     if recorded.sent.number is None:
         pipeline.regulator.take_back(again)
@@ -149,7 +149,7 @@ def _differences(recorded: RecordedStep, was: ScanSequence, now: ScanSequence) -
     for name in _COMPARED:
         old, new = (_values(sequence, name) for sequence in (was, now))
         if old.shape != new.shape:
-            # If slots have moved, do not list all their differences.
+            # If the numbers of slots differ, all later values differ, too: do not list them.
             return
         for index in np.argwhere(old != new).tolist():
             one, other = (values[tuple(index)].item() for values in (old, new))

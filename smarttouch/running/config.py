@@ -26,7 +26,7 @@ _CHOICES = {"mode": [*Mode], "scan": ["auto", "points"], "hold": ["charge", "ene
 
 
 class RunConfig(Table):
-    """Settings of one run; None means the profile's value.
+    """Settings of one run; None means the profile's value, or no limit.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class RunConfig(Table):
         points: one point in each slot; auto: independent sites share slots, for RA on boards with a
         current for each electrode.
     rate_hz : float, optional
-        Sequences a second.
+        Pulses per second at each point, for modes with one class.
     seconds : float, optional
         Time limit of the run.
     intensity : float, in [0, 1], optional
@@ -49,14 +49,14 @@ class RunConfig(Table):
     tone : Tone, optional
         Tone curve from ink to activation.
     line_cue : bool
-        Whether the array's first or last row shows that the line of print is above or below.
+        Whether the array's first or last row pulses if the line of print is above or below it.
     hold : {"charge", "energy"}, optional
-        Quantity to keep constant while impedance drifts, if the board can.
+        Quantity of each pulse to keep constant while impedance drifts, if the board allows it.
     balance : bool
-        Whether to keep net charge at zero.
+        Whether to keep the net charge of each electrode near zero.
     paced : bool
-        Whether a board with simulated time waits for the real time of each sequence, so that a
-        person can watch and steer. Other boards always do.
+        Whether a run with simulated time is as slow as in real time, so that a person can watch and
+        control it. On other boards a run always takes real time.
     seed : int
         Seed of the source; stored in recordings.
     subject, note : str
@@ -118,7 +118,7 @@ class RunConfig(Table):
 
     @classmethod
     def read(cls, texts: Iterable[str]) -> dict[str, Any]:
-        """Parse settings such as ``softness=0.5``; a name alone means True."""
+        """Parse settings such as ``softness=0.5``; a name without a value means True."""
         settings = {}
         for text in texts:
             name, mark, value = text.partition("=")
@@ -129,8 +129,8 @@ class RunConfig(Table):
     def sharing(self, profile: Profile) -> SlotPolicy:
         """Return the classes whose points share slots.
 
-        With scan auto this is RA, with kernels for independent sites. No class shares slots if
-        charge or energy is held for each point, if no sets can be proved, or if the board cannot.
+        With ``scan="auto"`` this is RA. No class shares slots if ``hold`` is set, if the array
+        allows no proof of selectivity (`provable`), or if the board or the profile excludes it.
         """
         if unsupported_reason(profile) is not None or self.scan == "points":
             sharing = NO_SHARING
@@ -143,12 +143,12 @@ class RunConfig(Table):
             sharing = SlotPolicy((Afferent.RA,)) if shares else NO_SHARING
         if self.hold is not None and sharing.afferents:
             raise SmartTouchError(
-                "hold needs the voltage of each point, but several share a slot: choose "
-                "the scan points"
+                "hold needs the voltage of each point, but with this scan several points share "
+                "a slot: set scan=points"
             )
         return sharing
 
 
 def configured(config: RunConfig | None, settings: dict[str, Any]) -> RunConfig:
-    """Return a configuration with changed settings."""
+    """Return a copy of a configuration with changed settings; the default is a new one."""
     return (config or RunConfig()).model_copy(update=settings)

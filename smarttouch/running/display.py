@@ -29,7 +29,7 @@ class Display(Closing):
     Parameters
     ----------
     url : str or Board
-        Board, for example ``emulator:`` or ``link:/dev/ttyACM0``, or a board that you made.
+        URL of a board, for example ``emulator:`` or ``link:/dev/ttyACM0``, or a `Board` object.
     profile : Profile
 
     Attributes
@@ -59,7 +59,7 @@ class Display(Closing):
         self.profile: Profile = profile
         self._stop = StopRequest()
         self.board: Board = board
-        # Also without a run, as a program may drive the board directly.
+        # Halt the board on a stop even without a run: a program may drive the board directly.
         self._stop.always_on_stop(board.halt)
         expect(board)
         self.notes_reported = 0  # number of notes reported by earlier runs
@@ -84,7 +84,7 @@ class Display(Closing):
 
     @contextmanager
     def opened(self, stop: StopRequest | None = None) -> Iterator[Board]:
-        """Open the board during a block; a stop sets it to zero at once, also while it opens.
+        """Open the board during a block. A stop sets the board to zero at once, even while opening.
 
         After a signal, the block ends by itself, because sending raises BoardStoppedError.
         """
@@ -99,7 +99,7 @@ class Display(Closing):
                 except BoardError as error:
                     if stop is not command.stop or not command.number:
                         raise
-                    # The signal is the reason for any failure.
+                    # A signal caused this failure, so report a stop instead of a fault.
                     raise BoardStoppedError(str(error)) from None
                 yield self.board
         finally:
@@ -122,7 +122,7 @@ class Display(Closing):
         Parameters
         ----------
         config, listeners, force, **settings
-            As for `smarttouch.run`.
+            See `smarttouch.run`.
         """
         return Session(self, configured(config, settings), listeners, force)
 
@@ -132,13 +132,13 @@ def open_display(
     profile: Profile | str | None = None,
     **options: Any,
 ) -> Display:
-    """Return a display by the URL of its board, which is opened by runs.
+    """Return a display for the board with a URL; runs open the board.
 
     Parameters
     ----------
     url : str or Board
         ``emulator:``, ``simulated:``, ``link:PORT``, ``kajimoto61:PORT``, ``etactilekit:PORT`` …,
-        or a board that you made.
+        or a `Board` object.
     profile : Profile or str, optional
         Device and finger; by default the board's own profile.
     **options
@@ -160,15 +160,15 @@ def open_display(
 
 
 class Session(Program):
-    """Open board on which a program shows patterns, made by `Display.session`.
+    """Session of a display, in which a program shows patterns; made by `Display.session`.
 
-    The board is open in the ``with`` block, and at zero after it. Methods may be called from any
-    thread.
+    The board is open in the ``with`` block, and at zero after the block. Methods may be called from
+    any thread.
 
     Attributes
     ----------
     statistics : RunStatistics
-        Statistics of everything sent; complete after the block.
+        Statistics of all sequences that were sent; complete after the block.
 
     Examples
     --------
@@ -212,8 +212,8 @@ class Session(Program):
     def __exit__(self, *exception: object) -> None:
         kind, error, _ = exception
         if isinstance(kind, type) and error is not self._failed:
-            # After an exception nothing more is sent.
-            self._stop.ask(f"the program ended in {kind.__name__}")
+            # The program failed, so set the board to zero instead of finishing its patterns.
+            self._stop.ask(f"the program raised {kind.__name__}")
         loop, self._outside = self._loop, "its with block is over"
         self._leave()
         try:
@@ -236,9 +236,9 @@ class Session(Program):
 def show_together(
     patterns: Mapping[Session, Pattern], seconds: float, level: float = 1.0
 ) -> dict[Session, Shown]:
-    """Show patterns on several displays at the same time; return how each was shown.
+    """Show patterns on several displays at the same time; return the result of each session.
 
-    All displays first reach their level by the ramp, at the same time.
+    First the ramps of all displays rise to the level at the same time.
 
     Parameters
     ----------

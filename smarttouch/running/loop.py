@@ -1,4 +1,4 @@
-"""The loop of a run: applies controls, and reads and sends inputs at deadlines of one clock."""
+"""Loop of a run: applies controls, reads inputs and sends sequences at deadlines of one clock."""
 
 import contextlib
 import gc
@@ -49,8 +49,8 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, checked_input
 
 HELD_UP_NS = 1_000_000
-"""Time beyond its own work after which a send is considered to have waited for the board."""
-_LATE_AGAIN_NS = 5_000_000_000  # time without a delay after which the next one is reported
+"""Duration of a send, less its processor time, above which it has waited for the board."""
+_LATE_AGAIN_NS = 5_000_000_000  # time without a late sequence until the next one is reported
 
 LOG = logging.getLogger("smarttouch.run")
 """Logger of events, silent unless a program adds handlers."""
@@ -70,16 +70,15 @@ def emit_to(listeners: Sequence[Listener]) -> Emit:
 
 @contextmanager
 def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iterator[None]:
-    """During the block, freeze garbage collection and limit OpenCV to one thread; first warm up the
-    pipeline.
+    """Warm up the pipeline; freeze garbage collection and limit OpenCV to one thread in the block.
 
-    Enter the block before opening a board: an open board would report the delay as a lost host.
-    In simulated time only limit OpenCV, as nothing can be late.
+    Enter the block before opening a board: an open board would report the warm-up as a lost host.
+    In simulated time, only OpenCV is limited, because nothing can be late.
     """
     threads = cv2.getNumThreads()
     # Images are small: a second thread costs more than it saves.
     cv2.setNumThreads(1)
-    # Do not undo what the program has frozen itself.
+    # If the program has frozen objects itself, do not unfreeze them at the end.
     freezes = not simulated_time and not gc.get_freeze_count()
     if not simulated_time:
         pipeline.warm_up()
@@ -117,7 +116,7 @@ class ControlState:
 
 
 class Controls:
-    """Intensity, mode and pause. Any thread may change them; the loop reads them.
+    """User's controls: level, mode and pause. Any thread may change them; the loop reads them.
 
     The level is at most ``most``. `next_mode` cycles through ``modes``.
     """
@@ -135,7 +134,7 @@ class Controls:
         return self._state
 
     def change_level(self, by: float) -> None:
-        """Raise or lower the level, limited to 0 and ``most``."""
+        """Add a number to the level; the result stays between 0 and ``most``."""
         with self._lock:
             level = min(self.most, max(0.0, round(self._state.level + by, 6)))
             self._change(level=level)
@@ -169,7 +168,7 @@ class Controls:
             self._change(mode=self.modes[(at + 1) % len(self.modes)])
 
     def choose_mode(self, mode: Mode | str) -> None:
-        """Change to one of ``modes``; raises an error for any other."""
+        """Change to a mode in ``modes``. Raises SmartTouchError for other modes."""
         self._change(mode=choice_of("mode", mode, self.modes))
 
     def _change(self, **changes: Any) -> None:
@@ -177,16 +176,16 @@ class Controls:
             self._state = replace(self._state, **changes)
 
 
-NO_INK_NS = 5_000_000_000  # time without ink under a pressing finger before advice
-LIFT_NS = 300_000_000  # time at zero after a lifted finger; then current rises from zero
+NO_INK_NS = 5_000_000_000  # time without ink under a pressing finger until the user gets advice
+LIFT_NS = 300_000_000  # time at zero intensity after a lifted finger, before the ramp rises again
 
 
 @dataclass
 class Inputs:
-    """Reads source, force and controls for each step; unknown force counts as no force.
+    """Inputs of a loop: the source, finger force and the user's controls, read for each step.
 
-    If ``force`` is given, it replaces the force of the source. The board may measure force, too,
-    and report a lifted finger.
+    Unknown force counts as no force. If ``force`` is set, it replaces the force of the source. The
+    board may also measure force, and report a lifted finger.
     """
 
     source: Source
@@ -200,12 +199,12 @@ class Inputs:
     _last_seen: int | None = None
     _blind: bool = False
     _lifted_until_ns: int = 0
-    _inkless_since_ns: float | None = None  # infinite after advice was given
+    _inkless_since_ns: float | None = None  # infinite after the user got advice
 
     def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
         """Return the input with the effective force (zero if unknown), and the effective level.
 
-        ``time_ns`` is time of the run, ``now_ns`` by the loop's clock. None at the source's end.
+        ``time_ns`` is the time of the run, ``now_ns`` the loop's clock. None at the source's end.
         """
         source, state = self.source, self.controls.state(time_ns)
         if state.mode is not self.pipeline.mode:
@@ -240,7 +239,7 @@ class Inputs:
             current = replace(current, force_n=counts_n)
         level = 0.0 if state.paused else state.level
         if state is not self._before:
-            self._say_changes(state, time_ns)
+            self._emit_changes(state, time_ns)
         if self.board.lifted or now_ns < self._lifted_until_ns:
             self._handle_lift(time_ns, now_ns)
         return current, level
@@ -251,7 +250,7 @@ class Inputs:
             self._inkless_since_ns = time_ns
         elif time_ns - self._inkless_since_ns >= NO_INK_NS:
             self._inkless_since_ns = math.inf
-            words = f"no ink was seen in the first {NO_INK_NS / 1e9:g} s: nothing can be felt"
+            words = f"no ink was seen in the first {NO_INK_NS / 1e9:g} s: move to print to feel it"
             self.emit(Advice(time_ns, words))
 
     def begins_at_zero(self, time_ns: int, now_ns: int) -> bool:
@@ -261,9 +260,10 @@ class Inputs:
         return not same or self.board.lifted or now_ns < self._lifted_until_ns
 
     def force_n(self, current: Input, time_ns: int) -> float:
-        """Return the effective force, NaN if unknown; the board's own force may lower it.
+        """Return the effective force, N, or NaN if unknown.
 
-        On a board that may have a finger on it, only the force of that finger counts.
+        If a finger may be on the board, only force measured on that finger counts. If the board
+        also measures force, the smaller force counts.
         """
         on_board, virtual = self.board.force_n, not self.board.on_a_finger
         if self.force is not None:
@@ -278,7 +278,7 @@ class Inputs:
             return force_n
         return min(force_n, on_board)
 
-    def _say_changes(self, state: ControlState, time_ns: int) -> None:
+    def _emit_changes(self, state: ControlState, time_ns: int) -> None:
         """Emit events for all changes of the user's controls."""
         before, self._before = self._before, state
         if before is None or state.level != before.level:
@@ -302,17 +302,17 @@ class Inputs:
 
     def begin_at_zero(self) -> None:
         """Reset the ramp: intensity rises from zero again."""
-        self.pipeline.restart_softly()
+        self.pipeline.restart_at_zero()
         self.board.close_level()
 
 
 class Loop:
-    """Delivers the inputs of a source to an open board, one sequence after another.
+    """Loop that delivers the inputs of a source to an open board, one sequence after another.
 
-    The source is read at each deadline, and the next deadline is one period later. So longer scans
-    lower the rate, and nothing queues. A late loop shifts its schedule instead of catching up.
-    Statistics are updated at each step, so that they exist after a fault. Listeners also receive
-    steps that were lost with the board.
+    The source is read at each deadline, and the next deadline is one sequence period later.
+    Therefore long scans lower the rate, and inputs never queue. A late loop moves all later
+    deadlines instead of catching up. Statistics are updated at each step, so that they exist after
+    a fault. Listeners also receive steps whose sequences were lost with the board.
     """
 
     def __init__(
@@ -330,7 +330,7 @@ class Loop:
         clock: Clock | None = None,
     ) -> None:
         if isinstance(source, Listener):
-            # This source needs to know how its inputs were delivered.
+            # A source that is a listener, such as a `Program`, needs the results of its steps.
             listeners = [source, *listeners]
         source.emit = self._emit = emit_to(listeners)
         self.inputs: Inputs = Inputs(
@@ -352,9 +352,9 @@ class Loop:
         self._may_stall = not board.simulated_time
         self._seconds = seconds
         self._start_ns: int | None = None
-        # _zero_ns, _over_ns: loop's clock at the run's start, moved later by each delay, and at
-        # the end of the last sequence. _report_late_ns: earliest run time of the next late report.
-        self._zero_ns = self._over_ns = self._report_late_ns = 0
+        self._zero_ns = 0  # start of the run by the loop's clock, moved later by each delay
+        self._over_ns = 0  # end of the last sequence by the loop's clock
+        self._report_late_ns = 0  # time of the run before which late sequences are not reported
         self._expected_ns: int | None = None
 
     def run(self) -> None:
@@ -366,7 +366,7 @@ class Loop:
 
     @contextmanager
     def steady(self) -> Iterator[None]:
-        """Plan from the current time; use real-time priority during the block if allowed."""
+        """Move the next deadline to now; use real-time priority in the block if allowed."""
         with prioritized() if self._may_stall else contextlib.nullcontext(False) as real_time:
             if self._start_ns is None:
                 self.inputs.statistics.real_time = real_time
@@ -376,7 +376,7 @@ class Loop:
             yield
 
     def resume(self) -> None:
-        """Plan from the current time, after a pause without sequences."""
+        """Move a deadline that passed during a pause without sequences to the current time."""
         if self._start_ns is None:
             self._start_ns = self._zero_ns = self._clock.now_ns()
         elif (idle_ns := self.time_ns() - self.elapsed_ns) > 0:
@@ -392,7 +392,7 @@ class Loop:
         return self.inputs.begins_at_zero(self.elapsed_ns, self._clock.now_ns())
 
     def end(self) -> None:
-        """Wait until the board has delivered everything, and complete the statistics."""
+        """Wait until the board has delivered everything; store the run's duration."""
         self.inputs.board.drain()
         if self._phase is not None:
             self._phase.follow(self._zero_ns)
@@ -413,14 +413,14 @@ class Loop:
         """Deliver one input; return False at the end of the source or of the run."""
         inputs, clock = self.inputs, self._clock
         pipeline, board, phase = inputs.pipeline, inputs.board, self._phase
-        # Keep this order: a pause between the two calls then makes the frame late.
+        # Keep this order: a pause of the computer between the two calls then counts as a delay.
         board_ns, now_ns = board.clock.now_ns(), clock.now_ns()
         since_ns, deadline_ns = now_ns - (self._start_ns or 0), self._zero_ns + self.elapsed_ns
         inputs.statistics.seconds = since_ns / 1e9
-        # The skin has been without current since the last sequence ended, whatever the schedule.
+        # No current has flowed since the end of the last sequence, even if no deadline has passed.
         waits_ns = max(0, now_ns - deadline_ns, now_ns - self._over_ns if self._over_ns else 0)
         if waits_ns > LATE_NS and self._may_stall:
-            # After a stall, plan again from now.
+            # After a stall, send the next sequence now and restart the ramp.
             inputs.begin_at_zero()
             waits_ns = 0
         read = inputs.read(self.elapsed_ns, now_ns)
@@ -444,7 +444,7 @@ class Loop:
             step, number, (sent_ns - in_hand_ns) / 1000, (over_ns - worked_ns) / 1000,
             board.acknowledged, board.refused, None if phase is None else phase.newest, since_ns,
         )  # fmt: skip
-        # Proving and writing count as computing.
+        # The safety gate and writing also use processor time: the rest of the send was a wait.
         waited_ns = sent_ns - sending_ns - (over_ns - own_ns)
         sent = Sent(
             number or 0, in_hand_ns - step.input.age_ns, deadline_ns, self.elapsed_ns,
@@ -460,13 +460,13 @@ class Loop:
         """Restart at zero after a sequence was late or was lost with the board."""
         late = isinstance(lost, SequenceLateError)
         self.inputs.statistics.restarts += not late
-        # On a busy computer do not report each late sequence; they are counted.
+        # On a busy computer many sequences can be late: count all of them, but report few.
         if not late or self.elapsed_ns >= self._report_late_ns:
             self._emit(BoardRestarted(self.elapsed_ns, str(lost)))
         if late:
             self._report_late_ns = self.elapsed_ns + _LATE_AGAIN_NS
         self.inputs.pipeline.regulator.take_back(step.sequence)
-        self.inputs.pipeline.restart_softly()
+        self.inputs.pipeline.restart_at_zero()
 
     def _plan_next(self, result: StepResult, sent: Sent, now_ns: int) -> None:
         """Add a step to the statistics, and move deadlines later by its delays."""
@@ -480,8 +480,8 @@ class Loop:
             expected_ns, late_ns = self._expected_ns, now_ns - sent.deadline_ns
             error_us = None if expected_ns is None else abs(now_ns - expected_ns) / 1000
             statistics.enter(result, error_us)
-            # After a wait for the board, move deadlines later: sequences then arrive at the same
-            # time, made from fresher frames.
+            # After a wait for the board, move deadlines later: sequences then reach the board at
+            # the same times as before, but are made from fresher frames.
             self._zero_ns += sent.waited_ns
             if late_ns > sent.period_ns:
                 statistics.late += 1

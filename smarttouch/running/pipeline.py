@@ -1,4 +1,4 @@
-"""Processing of inputs to scan sequences, without I/O and without a clock."""
+"""Conversion of inputs to scan sequences, without I/O and without a clock."""
 
 import contextlib
 import copy
@@ -27,15 +27,15 @@ from smarttouch.stimulation.scheduler import NetPlan, ScanScheduler, SchedulerCo
 from smarttouch.stimulation.sequence_limits import strength_ppb
 from smarttouch.stimulation.slots import FrameSlots
 
-_WAITING_UC = 0.02  # charge that may be left by rounding of the longest recharge phase
+_ROUNDING_UC = 0.02  # net charge that rounding to 1 µA can leave after the longest recharge phase
 
 
 @dataclass
 class Regulator:
-    """Feedback from measurements of the board to the next sequences.
+    """Feedback from measured voltages and net charge to the next sequences.
 
-    The adaptation keeps charge or energy constant. The ledger contains the net charge of each
-    electrode, which recharge phases or reversed scans bring to zero.
+    ``adaptation`` keeps charge or energy constant while impedance drifts. ``ledger`` contains the
+    net charge of each electrode, which recharge phases or reversed scans bring back to zero.
     """
 
     adaptation: Adaptation | None = None
@@ -45,8 +45,8 @@ class Regulator:
     _reversed: int = 0
     _waited: int = 0
 
-    def balanced(self, sequence: ScanSequence, ledger: ChargeBalance) -> ScanSequence:
-        """Balance a sequence, add it to the ledger, and return it."""
+    def balance(self, sequence: ScanSequence, ledger: ChargeBalance) -> ScanSequence:
+        """Return a sequence, if needed reversed or with a recharge phase; add it to the ledger."""
         if self.recharge is None:
             balanced = ledger.balancing(sequence)
             self._reversed += balanced is not sequence
@@ -55,13 +55,13 @@ class Regulator:
         ledger.add(balanced)
         if balanced.slots:
             self._scans += 1
-            self._waited += ledger.worst_uc > _WAITING_UC
+            self._waited += ledger.worst_uc > _ROUNDING_UC
         return balanced
 
     def take_back(self, sequence: ScanSequence) -> None:
-        """Remove a sequence that did not reach the board from the ledger.
+        """Subtract the charge of a sequence that did not reach the board from the ledger.
 
-        The gate still counts it, and limits recharge phases accordingly.
+        With recharge phases the ledger keeps this charge, because the gate has counted it, too.
         """
         if self.ledger is not None and self.recharge is None:
             self.ledger.add(sequence, -1)
@@ -70,29 +70,29 @@ class Regulator:
         """Return notes for the user after the run."""
         notes = []
         if self.adaptation is not None and (limited := self.adaptation.limited):
-            end = "strongest" if self.adaptation.holds == "energy" else "longest"
+            end = "strong" if self.adaptation.holds == "energy" else "long"
             notes.append(
-                f"{self.adaptation.holds} could not be held at {len(limited)} sites: pulses are "
-                f"at their {end}"
+                f"{self.adaptation.holds} could not be kept constant at {len(limited)} sites, "
+                f"because pulses there are as {end} as allowed"
             )
         if self._reversed:
             notes.append(
-                f"{self._reversed} of {self._scans} scans were reversed for the balance of charge: "
-                "they drove the other class, SAI where RA was meant and RA where SAI was"
+                f"{self._reversed} of {self._scans} scans were reversed to balance charge: they "
+                "stimulated the other class, SAI instead of RA or RA instead of SAI"
             )
         if self.recharge is not None and self.ledger is not None and self._waited:
             notes.append(
-                f"after {self._waited} of {self._scans} scans charge was left that no recharge "
-                f"phase may take back at once; {self.ledger.worst_uc:.2f} µC are left at the end"
+                f"after {self._waited} of {self._scans} scans, net charge remained that was too "
+                f"large for one recharge phase; {self.ledger.worst_uc:.2f} µC remain at the end"
             )
         return notes
 
 
 class Pipeline:
-    """Converts frames and stimuli, which contain their time, to scan sequences.
+    """Conversion of frames and stimuli to scan sequences; times are those of the inputs.
 
-    With ``vibrated``, mechanical vibrators stimulate PC instead of current (paper, Section V). With
-    ``in_sums``, slots are sums of quantized kernels, for boards that store kernels.
+    If ``vibrated``, mechanical vibrators instead of current stimulate PC (paper, Section V). If
+    ``in_sums``, each slot is a sum of quantized kernels, for boards that store kernels.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class Pipeline:
         self._mapper = self._make_mapper(profile, config.light_on_dark, config.tone)
         self._limits = SafetyLimits.of(profile)
         self.ramp: Ramp = Ramp(self._limits.ramp_ns)
-        """Ramp for pipelines without a board; sequences count as written at their times."""
+        """Ramp for use without a board: each sequence counts as written at its own time."""
         self.regulator: Regulator = Regulator()
         self._vibration, self._time_ns = 0.0, 0
         self._restarted = True
@@ -122,8 +122,8 @@ class Pipeline:
             self._common.net = NetPlan(self.electrodes)
         self._scans: dict[Mode, ScanScheduler] = {}
         self.table: KernelTable | None = None
-        """Quantized kernels for boards that store them: those of the bank, and those for shared
-        slots."""
+        """Quantized kernels for boards that store kernels: the kernels of the bank, and the kernels
+        for shared slots."""
         if in_sums and profile.output.kind == "weighted":
             frames = {
                 afferent: FrameSlots(profile, bank, afferent)
@@ -140,16 +140,16 @@ class Pipeline:
     def change_mode(self, mode: Mode) -> None:
         """Change the mode for the next input; intensity restarts at zero.
 
-        Raises an error, and keeps the mode, if board, profile or kernels do not offer the new one.
+        Raises an error and keeps the mode if board, profile or kernels do not offer the new mode.
         """
         self._scan(mode)
         self.mode = mode
-        self.restart_softly()
+        self.restart_at_zero()
 
     def offered(self) -> tuple[Mode, ...]:
         """Return the modes that board, profile and kernels offer.
 
-        Mode color is for stimuli only, and cannot be combined with others.
+        In mode color this is only color. In other modes color is not offered: it needs stimuli.
         """
         modes = []
         for mode in Mode:
@@ -162,8 +162,8 @@ class Pipeline:
     def _scan(self, mode: Mode) -> ScanScheduler:
         if self._vibrated and mode is Mode.PC:
             raise SmartTouchError(
-                "mode PC stimulates PC by current, but a vibrator replaces it: leave the vibrator "
-                "out, or show a vibration: source"
+                "mode PC needs current, but in this run a vibrator stimulates PC: remove the "
+                "vibrator, or use a vibration: source"
             )
         if mode not in self._scans:
             bank, config, classes = self._bank, self._config, mode.afferents
@@ -171,7 +171,7 @@ class Pipeline:
             if mode is Mode.COLOR:
                 possible = {*bank.weights, *[Afferent.PC] * vibrated}
                 classes = tuple(afferent for afferent in classes if afferent in possible)
-            # A requested rate is for a single class, not for natural mode.
+            # rate_hz is for one class: after a change to natural mode, use the profile's rates.
             natural = mode is Mode.NATURAL and bool(self._scans)
             self._scans[mode] = ScanScheduler(
                 self._profile, bank, classes, None if natural else config.rate_hz, self._timing,
@@ -189,10 +189,10 @@ class Pipeline:
     ) -> Step:
         """Return the tactile image and the scan sequence for a frame or stimulus.
 
-        Its force gates intensity; NaN means no contact. ``level``, in [0, 1], is the user's
-        intensity. ``allowed`` is the strength that the board allows (`Board.allowed_level`);
-        without a board the pipeline uses its own ramp. ``observed`` are measurements of the board
-        since the last input, which may change the sequence.
+        The force of the input gates intensity; NaN means no contact. ``level``, in [0, 1], is the
+        user's intensity. ``allowed`` is the strength that the board's ramp allows
+        (`Ramp.allowed_level`); without a board the pipeline uses its own ramp. ``observed``
+        contains the voltages that the board measured since the last input, for the adaptation.
         """
         regulator = self.regulator
         if regulator.adaptation is not None:
@@ -208,7 +208,7 @@ class Pipeline:
             gone = max(0, 0 if self._restarted else time_ns - self._time_ns) / self._limits.ramp_ns
             self._vibration, self._time_ns = min(wanted, self._vibration + gone), time_ns
             if not np.delete(activation, Afferent.PC, axis=0).any():
-                # Vibration is not subject to the ramp.
+                # No class gets current. The vibration has been limited above, so skip the ramp.
                 wanted, strength = self._vibration, 1.0
         sequence = scan.schedule(tactile, wanted, pressure, strength, regulator.adaptation)
         if allowed is None:
@@ -217,15 +217,15 @@ class Pipeline:
             self.ramp.claim(ppb, flowing_ppb, time_ns)
             self.ramp.note(ppb, flowing_ppb, time_ns, lasting_ns)
         if regulator.ledger is not None:
-            sequence = regulator.balanced(sequence, regulator.ledger)
+            sequence = regulator.balance(sequence, regulator.ledger)
         restarted, self._restarted = self._restarted, False
         return Step(
             given, tactile, sequence, self.mode, level, restarted, scan.asked_us, tuple(observed),
             allowed,
         )  # fmt: skip
 
-    def restart_softly(self) -> None:
-        """Restart the ramp after a time without current."""
+    def restart_at_zero(self) -> None:
+        """Restart the ramp at zero intensity, and the schedule of pulses."""
         self.ramp.restart()
         self._vibration = 0.0
         for scan in self._scans.values():
@@ -241,21 +241,21 @@ class Pipeline:
             return notes
         return [
             *notes,
-            f"{slowed} sequences were slowed and {emptied} left without pulses to keep the net "
-            f"current of each electrode below {1000 * CEILING_NET_MA:g} µA: choose balance, fewer "
-            "points or a lower intensity for the rate that was asked for",
+            f"{slowed} sequences were slowed and {emptied} lost their pulses to keep the net "
+            f"current of each electrode below {1000 * CEILING_NET_MA:g} µA: to reach the requested "
+            "rate, set balance, show fewer points or lower the intensity",
         ]
 
     def warm_up(self) -> None:
-        """Process an input by a temporary copy of this pipeline.
+        """Process two inputs with a temporary copy of this pipeline.
 
-        First calls import and allocate, which would delay a pulse in the loop.
+        First calls import modules and allocate memory, which would delay a pulse in the loop.
         """
         twin = copy.copy(self)
         config = self._config
         twin._mapper = self._make_mapper(self._profile, config.light_on_dark, config.tone)
         twin.ramp = Ramp(self._limits.ramp_ns)
-        # Makers of shared slots can be reused, as they have no state.
+        # The copy can use the same makers of slots, because they have no state.
         twin._scans, twin._common = {}, replace(self._common, net=None)
         twin.regulator = Regulator()
         twin.change_mode(self.mode)
@@ -275,33 +275,33 @@ class Pipeline:
 def make_regulator(
     board: Board, profile: Profile, config: RunConfig, note: Callable[[str], None]
 ) -> Regulator:
-    """Return the regulator for ``hold`` and ``balance`` on an open board.
+    """Return the regulator for the settings ``hold`` and ``balance`` on an open board.
 
-    ``note`` receives sentences for the user to read before the run. Raises BoardError if the board
-    cannot do it.
+    ``note`` receives sentences that the user should read before the run. Raises BoardError if the
+    board does not support a setting.
     """
     can = board.capabilities
     if can.time_to_zero_ms is None:
         note(
-            "If the connection is lost, this board repeats its last pattern: keep the switch "
-            "within reach."
+            "If the connection is lost, this board keeps repeating its last pattern: keep the "
+            "power switch within reach."
         )
     adaptation = ledger = recharge = None
     if config.hold is not None:
         if not can.measures or can.compliance_v is None:
             raise BoardError(
-                "hold needs a board that measures the voltage of each slot, but this one does not"
+                "hold needs a board that measures the voltage of each slot: leave hold out"
             )
         timing = board.driver.timing
         if config.hold == "charge" and not (timing.own_widths and timing.width_us is None):
             raise BoardError(
-                "hold charge needs an individual pulse width for each slot, but this board has "
-                "one for all: choose energy"
+                "hold charge needs a board with a pulse width for each slot, but this board has "
+                "one width for all slots: set hold=energy"
             )
         if config.hold == "energy":
             note(
-                f"Energy is held at {RESERVED:.0%} of the current, so that it can rise when "
-                "skin becomes wet: raise the intensity as needed."
+                f"To keep energy constant, currents start at {RESERVED:.0%} of the requested ones, "
+                "and can rise when skin becomes wet: raise the intensity if needed."
             )
         adaptation = Adaptation(profile, config.hold, can.compliance_v)
     if config.balance:
@@ -309,12 +309,13 @@ def make_regulator(
             recharge = RechargeRules.of(profile, board.driver.timing)
         elif len(can.polarities) < 2:
             raise BoardError(
-                f"balance needs both polarities, and this board is {can.polarities[0]} only"
+                "balance needs currents of both polarities, but this board makes only "
+                f"{can.polarities[0]} currents: leave balance out"
             )
         else:
             note(
-                "This board has no recharge phase. For balance, complete scans are reversed, and "
-                "those drive the other class, SAI where RA is meant and RA where SAI is."
+                "This board has no recharge phase, so balance reverses complete scans. Reversed "
+                "scans stimulate the other class: SAI instead of RA, and RA instead of SAI."
             )
         ledger = ChargeBalance(can.electrodes)
         ledger.charge_pc[:] = board.net_charge_pc

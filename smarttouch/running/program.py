@@ -1,4 +1,4 @@
-"""Programs as sources of a run, which show patterns one after another or put the latest one."""
+"""Programs as sources of a run: they show patterns one after another, or only the latest one."""
 
 import contextlib
 import math
@@ -39,19 +39,19 @@ from smarttouch.sources.source_contract import (
 )
 from smarttouch.stimulation.scheduler import force_gate
 
-STEADY = 0.98  # share of a level that counts as reached
-SILENT_US = 20_000  # period of silent sequences, and of pulses that raise the ramp
-_FAINT = 0.01  # activation of pulses that raise the ramp: about the threshold
-_POLL_S = 0.01  # how often a thread that waits looks whether it was canceled
-_IDLE_S = 0.045  # longest time without a sequence after a put
+STEADY = 0.98  # share of a level above which the level counts as reached
+SILENT_US = 20_000  # period of sequences without current, and of pulses that raise the ramp
+_FAINT = 0.01  # first activation of pulses that raise the ramp, near the detection threshold
+_POLL_S = 0.01  # interval at which a waiting thread checks whether it was canceled
+_IDLE_S = 0.045  # longest time between sequences while `put` shows a pattern without current
 
 Pattern = NDArray[Any] | Frame | TactileImage
 """Activation (E,) or (3, E), an image (H, W), a frame, or a tactile image."""
 Level = float | Callable[[float], float | None]
-"""Share of the intensity, in [0, 1]; or a function of the seconds since the pattern began, which
-returns None to end it."""
+"""Share of the session's intensity, in [0, 1]; or a function that returns this share for the
+seconds since the pattern began, or None to end the pattern."""
 CANCELED: ContextVar[threading.Event | None] = ContextVar("canceled", default=None)
-"""Event that ends the show of the current thread or task."""
+"""Event that cancels the pattern shown by the current thread or task."""
 
 
 @dataclass(frozen=True)
@@ -61,20 +61,20 @@ class Shown:
     Attributes
     ----------
     time_ns : int
-        Time of its first sequence, since the start of the session.
+        Time of the first sequence, since the start of the session.
     clock_ns : int
-        Start of its first pulse by `time.monotonic_ns`; time of sending if the board does not
+        Start of the first pulse by `time.monotonic_ns`; time of sending if the board does not
         report starts.
     board_us : int or None, µs
-        Start of its first pulse by the board's clock; None if not reported.
+        Start of the first pulse by the board's clock; None if the board does not report it.
     sequences, pulses : int
-        Number of sequences, and of all their slots.
+        Numbers of sequences and of slots.
     intensity : float, in [0, 1]
-        Lowest intensity of its sequences.
+        Lowest intensity of all sequences.
     current_ma : float, mA
-        Strongest current of its last pulses, magnitude.
+        Strongest current in the last sequence with pulses, magnitude.
     ramped_s : float, s
-        Time that the ramp took before it; 0 if the level was already reached.
+        Time for which the ramp rose before the pattern; 0 if its level was reached before.
     """
 
     time_ns: int
@@ -88,10 +88,10 @@ class Shown:
 
 
 class Program(Source, Listener):
-    """Base of `Session` and of sources with a `program` that shows patterns.
+    """Base class of `Session` and of sources with a `program` that shows patterns.
 
-    Methods may be called from any thread. Patterns are shown one after another, and the loop runs
-    in the thread that shows.
+    Methods may be called from any thread. Patterns are shown one after another. The thread that
+    shows a pattern also executes the loop of the run.
     """
 
     frames: int
@@ -99,7 +99,7 @@ class Program(Source, Listener):
     knows_force = True
     ended = "the program has ended"
     patience_s: float = 10.0
-    """Longest wait for a level, s."""
+    """Longest time for the ramp to reach a level, s."""
 
     def __init__(self, profile: Profile, title: str = "session") -> None:
         super().__init__(title)
@@ -119,11 +119,11 @@ class Program(Source, Listener):
         self._result: StepResult
         self._count = 0  # number of shown patterns
         self._last_number: int | None = None
-        # shared by threads; those in `_waiting` are about to show something
+        # Shared by threads. `_waiting` has an entry for each thread that waits to show a pattern.
         self._turns, self._waiting = threading.Lock(), deque[object]()
         self._news, self._put_lock = threading.Event(), threading.Lock()
         self._put: tuple[NDArray[np.float32] | Frame, int, int] = (self._nothing, 0, 0)
-        """Latest pattern of `put`, its arrival and the time when it becomes stale, by
+        """Latest pattern of `put`, with the times of the call and of becoming stale, by
         `time.monotonic_ns`."""
         self._is_new = False  # whether the latest pattern of `put` is unsent
         self._put_count = 0  # number of the latest pattern of `put`
@@ -139,7 +139,7 @@ class Program(Source, Listener):
         try:
             self.program()
         except SmartTouchError:
-            # Showing after the end of a run raises; ignore that.
+            # After the end of a run, showing a pattern raises this error: it is not a fault.
             if self._failed is not None or not loop.stop.event.is_set():
                 raise
         finally:
@@ -149,7 +149,7 @@ class Program(Source, Listener):
         loop.end()
 
     def _leave(self) -> None:
-        """Accept no more patterns; wait for other threads."""
+        """Accept no more patterns; wait until no other thread shows one."""
         self._loop = None
         self._news.set()
         with self._turns:
@@ -174,17 +174,16 @@ class Program(Source, Listener):
     def rise(
         self, level: float = 1.0, pattern: Pattern | None = None, exact: bool = False
     ) -> float:
-        """Raise the ramp to a level, with pulses near the threshold; return the time that it took,
-        s.
+        """Raise the ramp to a level, with pulses near the threshold; return the duration, s.
 
         Parameters
         ----------
         level : float, in [0, 1]
-            Part of the session's intensity.
+            Share of the session's intensity.
         pattern : ndarray or Frame, optional
-            Place of these pulses, see `show`; by default the middle of the array.
+            Pattern (see `show`) whose electrodes carry the pulses; by default the middle electrode.
         exact : bool
-            Whether neither force nor the user's level may lower it.
+            If true, the level counts as reached only if force and the user's level do not lower it.
 
         Raises
         ------
@@ -208,7 +207,7 @@ class Program(Source, Listener):
     ) -> Shown:
         """Show a pattern for some time, and return when it is over.
 
-        If the ramp is below its level, `rise` comes first.
+        If the ramp is below the pattern's level, it first rises to this level, as by `rise`.
 
         Parameters
         ----------
@@ -216,18 +215,19 @@ class Program(Source, Listener):
             Activation of the mode's class, (E,), or of each class, (3, E), in [0, 1]; or an image,
             (H, W) uint8.
         seconds : float, s
-            Duration, from the first pulse at its level; infinite if the level ends it.
+            Duration, from the first pulse at the level; infinite if ``level`` ends the pattern.
         level : float, in [0, 1], or callable
-            Share of the session's intensity; or a function that returns it for each sequence, given
-            the seconds since the start, and None to end.
+            Share of the session's intensity; or a function that takes the seconds since the start
+            and returns this share for the next sequence, or None to end the pattern.
         rate_hz : float, Hz, optional
-            Sequences per second; by default those of the mode.
+            Sequences per second; by default the rate of the mode.
         opens : float, in [0, 1], optional
-            Level to reach first; by default the initial one. With 0 there is no rise.
+            Level that the ramp must reach first; by default the initial level. With 0 the ramp does
+            not rise first.
         least : float, in [0, 1]
-            Share of its level below which it ends with an error.
+            Share of the requested intensity below which the pattern ends with an error.
         exact : bool
-            Whether neither force nor the user's level may lower it.
+            If true, the pattern ends with an error if force or the user's level lowers intensity.
 
         Raises
         ------
@@ -250,7 +250,7 @@ class Program(Source, Listener):
         with self._turn():
             ramped_s = self._rise(opens, checked, exact) if opens else 0.0
             if ramped_s:
-                self.emit(Note(self.now_ns, f"a pattern waited {ramped_s:.2f} s for its level"))
+                self.emit(Note(self.now_ns, f"a pattern waited {ramped_s:.2f} s for the ramp"))
             shown = self._play(checked, seconds, level, period_us, least, exact)
         return replace(shown, ramped_s=ramped_s)
 
@@ -263,7 +263,7 @@ class Program(Source, Listener):
         least: float,
         exact: bool,
     ) -> Shown:
-        """Send a pattern for some time, at a level that was reached."""
+        """Send a pattern for some time, after the ramp has reached the level."""
         self._count += 1
         begun_ns, clock_ns, first = self.now_ns, time.monotonic_ns(), None
         sequences, pulses, intensity, current_ma = 0, 0, 1.0, 0.0
@@ -282,30 +282,30 @@ class Program(Source, Listener):
             lost = result.number is None or result.step.restarted or (asked == 0 and not exact)
             if lost or sequence.intensity < least * asked:
                 raise LevelNotReachedError(
-                    f"its level was lost after {sequences} sequences: the finger was lifted, the "
-                    "session paused, or the board lost"
+                    f"the pattern lost its level after {sequences} sequences: the finger was "
+                    "lifted, the session paused, or the connection to the board lost"
                 )
         board, board_us = self._context.board, None
         if first is not None and (start := board.start_of(first)) is not None:
             board_us = start[1]
             if not board.simulated_time:
-                # Convert between clocks: only the board's continues while the machine is suspended.
+                # Convert times, because only the board's clock continues during a suspension.
                 clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start[0])
         return Shown(begun_ns, clock_ns, board_us, sequences, pulses, intensity, current_ma, 0.0)
 
     def wait(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
-        """Wait without current, in the board's time; patterns of `put` wait, too.
+        """Wait without current, by the time of the run; patterns of `put` are not shown meanwhile.
 
         Parameters
         ----------
         seconds : float, s
         until : callable, optional
-            Function that ends the wait by returning true; called 50 times a second.
+            Function that returns true to end the wait; called 50 times a second.
         """
         require_within(SmartTouchError, "seconds", seconds, 0, math.inf, above=True)
         with self._turn():
             end_ns = self.now_ns + (math.inf if seconds == math.inf else round(1e9 * seconds))
-            # End exactly in time, without a part shorter than the shortest sequence.
+            # End exactly in time: the last sequence includes a rest too short for a sequence.
             while (left_us := (end_ns - self.now_ns) / 1000) >= self._least_us:
                 if until is not None and until():
                     return
@@ -315,7 +315,7 @@ class Program(Source, Listener):
     async def show_async(
         self, pattern: Pattern, seconds: float, level: Level = 1.0, rate_hz: float | None = None
     ) -> Shown:
-        """Show a pattern like `show`, while other tasks continue; canceling the task ends it."""
+        """Show a pattern like `show`, while other tasks run; a canceled task ends its pattern."""
         import asyncio
 
         call = partial(self.show, pattern, seconds, level, rate_hz=rate_hz)
@@ -335,15 +335,16 @@ class Program(Source, Listener):
         """Show a pattern until the next one or until it is stale, and return at once.
 
         The latest pattern begins when the current sequence is over. A stale pattern causes no
-        current. In simulated time, it is sent once before this returns.
+        current. In simulated time, the pattern is sent once before `put` returns.
 
         Parameters
         ----------
         pattern : ndarray or Frame
             See `show`.
         stale_s : float, s
+            Age at which the pattern is stale.
         """
-        loop = self._require_life()
+        loop = self._require_loop()
         checked, now_ns = self.checked(pattern), time.monotonic_ns()
         with self._put_lock:
             self._put = checked, now_ns, now_ns + round(1e9 * stale_s)
@@ -358,7 +359,7 @@ class Program(Source, Listener):
                 self._send(self._newest())
 
     def _follow(self) -> None:
-        """Send the latest pattern of `put` repeatedly while no thread shows another."""
+        """Send the latest pattern of `put` repeatedly while no thread shows another pattern."""
         try:
             while True:
                 while self._waiting:
@@ -369,7 +370,7 @@ class Program(Source, Listener):
                         begun_ns, newest = self.now_ns, self._newest()
                         self._send(newest)
                         silent = newest.stale or not newest.activation.any()
-                        # In natural mode classes pulse at their own rates.
+                        # In natural mode each sequence lasts until the next pulses are due.
                         again_s = (
                             0 if self.mode is Mode.NATURAL else 1 / self._profile.pulse.rate_hz
                         )
@@ -386,7 +387,7 @@ class Program(Source, Listener):
                     self._context.board.stop()
 
     def _newest(self) -> Stimulus:
-        """Return the latest pattern of `put`, with a new number if another was shown meanwhile."""
+        """Return the latest pattern of `put`, renumbered if another pattern was shown meanwhile."""
         with self._put_lock:
             pattern, came_ns, stale_ns = self._put
             if self._is_new or self._count != self._put_count:
@@ -402,19 +403,19 @@ class Program(Source, Listener):
 
     @contextmanager
     def _turn(self, waits: bool = True) -> Iterator[Loop]:
-        """Wait until no other thread shows a pattern, and plan from the current time. Patterns that
-        were put are not shown while a thread ``waits``."""
+        """Wait until no other thread shows a pattern; yield the loop, with its next deadline now.
+        If ``waits``, the thread that sends patterns of `put` pauses until then."""
         waiting = [object()] * waits
         self._waiting.extend(waiting)
         self._news.set()
         try:
             while not self._turns.acquire(timeout=_POLL_S):
-                self._require_life()
+                self._require_loop()
         finally:
             for turn in waiting:
                 self._waiting.remove(turn)
         try:
-            loop = self._require_life()
+            loop = self._require_loop()
             with loop.steady():
                 self.now_ns = loop.elapsed_ns
                 yield loop
@@ -422,8 +423,8 @@ class Program(Source, Listener):
             self._turns.release()
 
     def _send(self, stimulus: Stimulus) -> StepResult:
-        """Deliver an input and wait until it is over."""
-        loop = self._require_life()
+        """Send the sequence of a stimulus, wait until it is over, and return the result."""
+        loop = self._require_loop()
         self._input = stimulus
         try:
             # Ctrl-C takes effect between two sequences.
@@ -432,12 +433,12 @@ class Program(Source, Listener):
         except Exception as error:
             self._failed = error
             raise
-        self._require_life()
+        self._require_loop()
         self.now_ns = loop.elapsed_ns
         return self._result
 
-    def _require_life(self) -> Loop:
-        """Return the loop. Raises the error that ended the run or this show."""
+    def _require_loop(self) -> Loop:
+        """Return the loop. Raises the error that ended the run or canceled the pattern."""
         if self._failed is not None:
             raise self._failed
         loop = self._loop
@@ -445,16 +446,16 @@ class Program(Source, Listener):
             why = self._outside if loop is None else loop.stop.reason
             raise SmartTouchError(f"the session has ended: {why}")
         if (canceled := CANCELED.get()) is not None and canceled.is_set():
-            raise SmartTouchError("it was canceled")
+            raise SmartTouchError("the pattern was canceled")
         return loop
 
     def _rise(self, level: float, pattern: NDArray[np.float32] | Frame, exact: bool) -> float:
         """Send weak pulses until the ramp has reached a level; return the time that it took, s."""
         require_within(SmartTouchError, "level", level, 0, 1, above=True)
-        begun_ns, faint, active = self.now_ns, _FAINT, self._places(pattern)
+        begun_ns, faint, active = self.now_ns, _FAINT, self._active_electrodes(pattern)
         while not self._is_open(level, exact):
             if self.now_ns - begun_ns > 1e9 * self.patience_s:
-                why = "the board or the user allows less" if self.gate else "no finger presses"
+                why = "the user's level or the ramp is low" if self.gate else "no finger presses"
                 raise LevelNotReachedError(
                     f"level {level:g} was not reached within {self.patience_s:g} s: {why}"
                 )
@@ -462,7 +463,7 @@ class Program(Source, Listener):
             weak = np.asarray(np.float32(faint) * active, np.float32)
             sequence = self._send(self._stimulus(weak, self._silent_us, level)).sequence
             if 0 < STEADY * self._requested(exact) <= sequence.intensity:
-                # These pulses are too weak to reach the level, so use stronger ones; if the
+                # These pulses are too weak to raise the ramp, so use stronger ones. If even the
                 # strongest have no slots, no current can flow, and the ramp does not matter.
                 if faint == 1 and not sequence.slots:
                     return 0.0
@@ -470,7 +471,7 @@ class Program(Source, Listener):
         return (self.now_ns - begun_ns) / 1e9
 
     def note_opening(self) -> None:
-        """Called while the ramp rises, for sources that report it."""
+        """Report that the ramp is rising. Called before each weak pulse; by default no effect."""
 
     def _is_open(self, level: float, exact: bool) -> bool:
         asked = level * (1.0 if exact else self.gate * self.user_level)
@@ -486,7 +487,7 @@ class Program(Source, Listener):
     def _stimulus(
         self, pattern: NDArray[np.float32] | Frame, period_us: int | None, level: float = 1.0
     ) -> Stimulus:
-        """Convert a pattern to an input; frames are mapped here."""
+        """Convert a pattern to a stimulus; the activation of a frame is computed here."""
         force_n, image = self._press_n, None
         if isinstance(pattern, Frame):
             force_n = force_n if math.isnan(pattern.force_n) else pattern.force_n
@@ -497,9 +498,9 @@ class Program(Source, Listener):
             pattern, self.now_ns, force_n, period_us, level, number=self._count, image=image
         )
 
-    def _places(self, pattern: NDArray[np.float32] | Frame) -> NDArray[np.float32]:
-        """Return the places of a pattern, (3, E) of 0 and 1; the middle of the array for an empty
-        one."""
+    def _active_electrodes(self, pattern: NDArray[np.float32] | Frame) -> NDArray[np.float32]:
+        """Return 1 for each active electrode of a pattern, otherwise 0, (3, E). In an empty pattern
+        the middle electrode counts as active."""
         mode = self.mode
         if isinstance(pattern, Frame):
             frame = replace(pattern, time_ns=self.now_ns, force_n=self._press_n)
@@ -515,7 +516,7 @@ class Program(Source, Listener):
         return active
 
     def checked(self, pattern: Pattern | None) -> NDArray[np.float32] | Frame:
-        """Return activation, (3, E), or a frame. Raises SourceError for anything else."""
+        """Return a pattern as activation, (3, E), or as a frame. Raises SourceError if invalid."""
         electrodes, mode = self._nothing.shape[1], self.mode
         if pattern is None:
             return self._nothing
@@ -527,7 +528,7 @@ class Program(Source, Listener):
         if array.shape == (electrodes,):
             if len(mode.afferents) != 1:
                 raise SourceError(
-                    f"mode {mode} drives several classes: give activation (3, {electrodes})"
+                    f"mode {mode} drives several classes: give activation as (3, {electrodes})"
                 )
             activation = np.zeros(self._nothing.shape)
             activation[mode.afferents[0]] = array
@@ -539,17 +540,16 @@ class Program(Source, Listener):
                 f"{array.dtype} {array.shape} is not a pattern for this array: give activation "
                 f"({electrodes},) or (3, {electrodes}), in [0, 1], or an image (H, W), uint8"
             )
-        # Copy, so that later writes have no effect.
+        # Copy, so that later changes by the caller have no effect.
         return checked_activation(array, "the program", electrodes).copy()
 
     def time_ns(self) -> int:
-        """Return the time since the start of the run; in simulated time that of the latest
-        sequence."""
+        """Return the time since the start of the run, ns; after the run, the latest `now_ns`."""
         return self.now_ns if self._loop is None else self._loop.time_ns()
 
     @property
     def gate(self) -> float:
-        """Current factor by the finger's force, in [0, 1]."""
+        """Present factor of intensity from the finger's force, in [0, 1]."""
         if self._loop is None:
             return 0.0
         force_n = self._loop.inputs.force_n(
@@ -559,10 +559,10 @@ class Program(Source, Listener):
 
     @property
     def user_level(self) -> float:
-        """Current factor by the user's level, in [0, 1]; 0 while paused."""
+        """Present factor of intensity from the user's level, in [0, 1]; 0 while paused."""
         return self.controls.state(self.now_ns).current_level
 
     @property
     def mode(self) -> Mode:
-        """Current mode."""
+        """Present mode of the run."""
         return self.controls.state(self.now_ns).mode

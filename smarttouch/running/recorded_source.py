@@ -1,4 +1,4 @@
-"""Recordings as sources, with the recorded modes and levels."""
+"""Recordings as sources of a run, and controls with the recorded modes and levels."""
 
 import bisect
 from dataclasses import replace
@@ -16,7 +16,7 @@ from smarttouch.sources.source_contract import Input, Source, Stimulus
 
 
 def open_recording(rest: str, profile: Profile) -> "RecordingSource":
-    """Open ``recording:FILE``."""
+    """Open the source ``recording:FILE``."""
     if not rest:
         raise SourceError("recording: needs a file: give recording:FILE.mcap")
     return RecordingSource(RecordedRun(Path(rest)))
@@ -54,7 +54,7 @@ class RecordingSource(Source):
         self._seen = True
         recorded = self._now.step.input
         age_ns = max(0, time_ns - recorded.time_ns)
-        # Missing steps mean no current.
+        # Where steps are missing, the input is stale, so that no current flows.
         stale = recorded.stale or time_ns > _end_ns(self._now) + LATE_NS
         number = self.frames - 1
         return replace(recorded, time_ns=time_ns, number=number, age_ns=age_ns, stale=stale)
@@ -84,7 +84,7 @@ class RecordingSource(Source):
         before, self._now = self._now, self._ahead
         assert self._now is not None
         recorded, last = self._now.step.input, None if before is None else before.step.input
-        # An image number may have several images.
+        # Several images may have the same number.
         if last is None or (recorded.number, id(recorded.image)) != (last.number, id(last.image)):
             self._drop()
             self.frames += 1
@@ -101,9 +101,9 @@ def _end_ns(recorded: RecordedStep) -> int:
 
 
 class RecordedControls(Controls):
-    """Recorded modes and levels; the user can still lower the level and pause.
+    """Controls with the recorded modes and levels; the user can still lower the level and pause.
 
-    The user's level scales the recorded one. Raises RecordingError if the board does not offer a
+    The user's level scales the recorded level. Raises RecordingError if the board does not offer a
     recorded mode.
     """
 

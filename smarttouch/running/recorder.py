@@ -26,20 +26,20 @@ from smarttouch.running.recording_format import (
 )
 from smarttouch.running.step import Listener, RunContext, StepResult
 
-CHUNK_S = 1.0  # longest time before a chunk is on disk, which is lost if the program is killed
+CHUNK_S = 1.0  # longest time until steps are on disk; later ones are lost if the program is killed
 MOST_WAITING = 1000  # largest number of steps waiting for the disk
 
 
 class Recorder(Listener):
     """Listener that records a run to a file, in its own thread.
 
-    A chunk is on disk within `CHUNK_S` of its first step, plus the delay of the disk. Times in the
-    file are times of day.
+    Each step is on disk after at most `CHUNK_S`, plus the delay of the disk. Times in the file are
+    Unix times.
 
     Parameters
     ----------
     path : Path or str
-        New file; an existing one is not overwritten.
+        New file; an existing file is not overwritten.
 
     Examples
     --------
@@ -99,7 +99,7 @@ class Recorder(Listener):
         slow."""
         if self._queue.qsize() > MOST_WAITING:
             self._failure = self._failure or TimeoutError(
-                0, f"{MOST_WAITING} frames wait for the disk, it is too slow"
+                0, f"{MOST_WAITING} steps wait for the disk, which is too slow"
             )
         if self._failure is not None:
             raise self._complaint()
@@ -113,7 +113,7 @@ class Recorder(Listener):
     def close(self) -> None:
         """Write everything queued, and finish the file.
 
-        Raises RecordingError if this fails, unless it was reported before.
+        Raises RecordingError if writing failed, unless `step` has reported the failure.
         """
         thread, self._thread = self._thread, None
         if thread is None:
@@ -126,7 +126,7 @@ class Recorder(Listener):
     def _complaint(self) -> RecordingError:
         self._reported = True
         reason = getattr(self._failure, "strerror", None) or repr(self._failure)
-        return RecordingError(f"{self.path} is cut short: {reason}; what was written is kept")
+        return RecordingError(f"{self.path} is incomplete: {reason}; the steps before are kept")
 
     def _write_all(self) -> None:
         """Write the queue until the end; after a failure only close the file."""
@@ -181,7 +181,7 @@ class Recorder(Listener):
         self._steps += 1
 
     def _is_new(self, image: NDArray[np.uint8], number: int) -> bool:
-        """Return whether an image differs from the last one, whatever its number."""
+        """Return whether an image must be written: its number or its pixels have changed."""
         before, self._image = self._image, (image, number)
         return (
             before is None

@@ -1,4 +1,4 @@
-"""Reading of recordings, also cut or damaged ones: steps, events and arrays."""
+"""Reading of recordings, including cut or damaged ones, as steps, events and arrays."""
 
 import json
 from collections.abc import Generator, Iterator
@@ -26,13 +26,13 @@ from smarttouch.running.recording_format import (
     digest_of,
 )
 
-_MOST_BYTES = 2**40  # largest recording, about a month
-_MOST_RECORD_BYTES = 128 * 2**20  # largest chunk; usual ones have some MB
+_MOST_BYTES = 2**40  # largest size of a recording, reached after about a month
+_MOST_RECORD_BYTES = 128 * 2**20  # largest size of a chunk; most chunks have a few MB
 
 
 @dataclass(frozen=True, eq=False)
 class RunArrays:
-    """All arrays of a run; the page *Recordings* lists shapes, units and meanings."""
+    """All arrays of a recording; the page *Recordings* lists shapes, units and meanings."""
 
     step: NDArray[np.int64]
     time_ns: NDArray[np.int64]
@@ -76,7 +76,7 @@ def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
     for row, recorded in enumerate(steps):
         sent, sequence = recorded.sent, recorded.step.sequence
         recharge_ua = sequence.recharge_ua
-        # Most arrays have the same names as in the messages.
+        # Most arrays have the name of their field in the messages.
         values = recorded.message | {
             "step": recorded.index,
             "sent": -1 if sent.number is None else sent.number,
@@ -95,7 +95,7 @@ def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
     sides = {"current_ua": [electrodes], "activation": [3, electrodes], "recharge_ua": [electrodes]}
     arrays = {}
     for field in fields(RunArrays):
-        # a dtype before NumPy 2.5, a scalar type since
+        # The last type argument is a dtype before NumPy 2.5, and a scalar type since then.
         kind: Any = get_args(field.type)[-1]
         kind = (get_args(kind) or (kind,))[0]
         made: Any = columns[field.name]
@@ -139,8 +139,8 @@ class RecordedRun:
             )
         if self.about.get("digest") != digest_of(self.about):
             raise RecordingError(
-                f"the description of the run in {path} was changed or is damaged: its digest does "
-                "not match"
+                f"the description of the run in {path} was changed or is damaged, because its "
+                "digest does not match: use an intact copy"
             )
 
     def __repr__(self) -> str:
@@ -168,7 +168,7 @@ class RecordedRun:
             return Profile.model_validate_json(self.about["profile"])
         except (ValueError, ProfileError) as error:
             first = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
-            message = f"the profile in {self.path} is not one of this version's: {first}"
+            message = f"the profile in {self.path} is not valid in this version: {first}"
             raise RecordingError(message) from None
 
     @cached_property
@@ -200,7 +200,7 @@ class RecordedRun:
         return _arrays(self.steps(), len(self.profile.electrodes))
 
     def contents(self, topic: str) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Yield time, ns since the start, and content of each message of a topic."""
+        """Yield the time, ns since the start, and the content of each message of a topic."""
         for name, message in self.messages():
             if name == topic:
                 yield message.log_time - self.started_unix_ns, json.loads(message.data)
@@ -254,13 +254,13 @@ def load_recording(path: Path | str) -> RecordedRun:
     Parameters
     ----------
     path : Path or str
-        A recording. A cut or damaged one yields all complete steps.
+        Path of the recording. If the file is cut or damaged, all complete steps are read.
 
     Returns
     -------
     RecordedRun
-        Its ``arrays`` are a `RunArrays`, which lists shapes and units: for example ``current_ua``,
-        (S, E) int16, µA, and ``time_ns``, (N,) int64, ns since the start of the run.
+        Recording, with ``arrays`` (`RunArrays`): for example ``current_ua``, (S, E) int16, µA, and
+        ``time_ns``, (N,) int64, ns since the start of the run.
 
     Raises
     ------

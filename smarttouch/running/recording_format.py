@@ -33,11 +33,11 @@ from smarttouch.stimulation.scan_sequence import (
 )
 from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
 
-FORMAT = "2"  # version of the format; increase it when older readers cannot read it
+FORMAT = "2"  # version of the format; increase it if older versions cannot read new files
 METADATA = "smarttouch"  # name of the metadata record that describes the run
 Message = dict[str, Any]
 
-# Parts of a step's message: attributes with their types, or the packing of arrays.
+# Fields of a step's message: attributes with their types, and arrays with their packed dtypes.
 _INPUT = {"time_ns": int, "number": int, "age_ns": int, "stale": bool}
 _POSE = ("x_mm", "y_mm", "angle_rad")
 _SEQUENCE = {"period_us": int, "intensity": float, "recharge_us": int}
@@ -66,14 +66,14 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
     "/step": ("smarttouch.Step", {name: {"type": ["number", "null"]} for name in _NUMBERS}),
     "/event": ("foxglove.Log", _LOG),
 }
-"""Schema of each topic, and the properties of its messages that Foxglove can show."""
+"""Schema name of each topic, and the properties of its messages that Foxglove can show."""
 
 # For frames with sensor noise these options are the fastest and give the smallest files.
 _PNG = (
     cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
 )  # fmt: skip
 _INFO = 2  # level of events in foxglove.Log
-_REMEMBERED = 512  # sequences stored for later measurements of voltage: more than a second
+_REMEMBERED = 512  # number of sequences kept for voltages in later steps: more than a second
 _LONGEST_US = 10_000_000  # longest time between two stimuli: the period of the slowest rate
 _INVALID = (ValueError, TypeError, LookupError, AttributeError, OverflowError, cv2.error)
 """Exceptions raised by valid JSON with invalid content."""
@@ -82,7 +82,7 @@ _INVALID = (ValueError, TypeError, LookupError, AttributeError, OverflowError, c
 class RecordedConfig(RunConfig):
     """Configuration of a recorded run, with everything else that its sequences depend on.
 
-    ``carried_pc`` is the net charge of each electrode before a balanced run, or empty.
+    ``carried_pc`` is the net charge of each electrode before a run with ``balance``; empty means 0.
     """
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="ignore")
@@ -149,7 +149,7 @@ def event_message(words: str, unix_ns: int) -> Message:
 
 
 def step_message(result: StepResult) -> Message:
-    """Return a step, without its image."""
+    """Return a step as a message, without its image."""
     step, step_input, sequence = result.step, result.step.input, result.step.sequence
     pulse, proof = result.first_pulse, sequence.proof
     return {
@@ -185,7 +185,7 @@ def step_message(result: StepResult) -> Message:
 
 @dataclass(frozen=True, eq=False)
 class RecordedStep:
-    """Recorded step of a run, with its number from 0; numbers of missing steps are skipped."""
+    """Recorded step of a run. ``index`` counts all steps from 0, including missing steps."""
 
     index: int
     sent: StepResult
@@ -198,7 +198,7 @@ class RecordedStep:
 
 @dataclass
 class StepDecoder:
-    """Decodes the messages of a run in the order of the file; ``broken`` counts invalid ones."""
+    """Decoder of a run's messages, in the order of the file; ``broken`` counts invalid ones."""
 
     electrodes: int
     broken: int = 0
@@ -214,7 +214,7 @@ class StepDecoder:
                 self._image, self._image_index = _image_of(json.loads(data)), index
             elif topic == "/step":
                 message, longest_us = json.loads(data), LONGEST_PERIOD_US
-                # Otherwise a replay could wait forever.
+                # With other times, a replay could wait forever.
                 if message["time_ns"] != at_ns or not 0 < message["period_us"] <= longest_us:
                     raise ValueError("not a time of this run")
                 return RecordedStep(index, self._step(index, message), message)

@@ -1,4 +1,4 @@
-"""Statistics of a run in constant memory, and the phase lock of its loop to the board."""
+"""Statistics of a run in constant memory, and phase lock of the loop to the board."""
 
 import math
 from collections import deque
@@ -16,7 +16,7 @@ from smarttouch.running.step import FirstPulse, StepResult
 from smarttouch.sources.source_contract import Source
 
 _PER_E = 100  # bins per factor of e, for an accuracy of 0.5 %
-_FACTORS = 17  # from 1 µs to 24 s
+_FACTORS = 17  # number of factors of e covered by the bins: from 1 µs to 24 s
 
 
 class LatencyHistogram:
@@ -54,7 +54,7 @@ class RunStatistics:
 
     Examples
     --------
-    See `smarttouch.run`; ``statistics.figures`` has all of them by name.
+    See `smarttouch.run`; ``statistics.figures`` has all statistics by name.
     """
 
     def __repr__(self) -> str:
@@ -76,9 +76,9 @@ class RunStatistics:
     """Number of sequences longer than the requested period."""
     lowest_rate_hz: float = float("inf")
     late: int = 0
-    """Number of frames more than one period late."""
+    """Number of sequences that began more than one period after their deadline."""
     restarts: int = 0
-    """Number of losses of the board with a restart."""
+    """Number of times that the board was lost and restarted."""
     lifts: int = 0
     """Number of times that the board detected a lifted finger."""
     blind: int = 0
@@ -89,26 +89,26 @@ class RunStatistics:
     spill: float = 0.0
     """Largest spill of shared slots."""
     kernels: KernelBank | None = None
-    """Kernels of single points."""
+    """Kernel bank of the run, for slots of a single point."""
     modes: set[Mode] = field(default_factory=set)
-    """Modes with slots."""
+    """Modes in which slots were sent."""
     seconds: float = 0.0
     scan_us: int = 0
     """Total duration of sent sequences."""
     asked_us: int = 0
     """Total requested duration of sent sequences."""
     latency: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """Time from reading the input to the last byte written."""
+    """Time from reading an input to writing the last byte of its sequence."""
     motion_to_bytes: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """Time from the capture of the image to the last byte written."""
+    """Time from the capture of an image to writing the last byte of its sequence."""
     first_pulse: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """Time from the capture of the image to its first pulse, if the board reports it."""
+    """Time from the capture of an image to its first pulse, if the board reports this pulse."""
     waited: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """Time from the last byte written to the first pulse."""
+    """Time from writing the last byte of a sequence to its first pulse."""
     work: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """Processor time of the loop for a frame."""
+    """Processor time of the loop for one step."""
     period_error: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """Deviation of the time between two frames from their period."""
+    """Deviation of the time between two steps from the period."""
     ended: str = ""
     """Reason for the end of the run."""
     notes: list[str] = field(default_factory=list)
@@ -144,7 +144,7 @@ class RunStatistics:
 
     @property
     def work_share(self) -> float:
-        """Computing time of the loop relative to the duration of scans."""
+        """Processor time of the loop, relative to the duration of scans."""
         return self.work.total_us / self.scan_us if self.scan_us else 0.0
 
     @property
@@ -163,7 +163,7 @@ class RunStatistics:
     def complete(
         self, source: Source, board: Board, report: BoardReport | None, ended: str
     ) -> None:
-        """Set all figures of a run; those of the board are None after a fault."""
+        """Set all figures of a run; figures from the board's report are None after a fault."""
         other, spill = self.selectivity or (None, None)
         first_pulse, waited = (
             spread.figures() if spread.count else None for spread in (self.first_pulse, self.waited)
@@ -216,21 +216,21 @@ class RunStatistics:
         }
 
 
-GUARD_NS = 500_000  # safety margin in addition to the typical delay
+GUARD_NS = 500_000  # margin before the board needs a sequence, in addition to typical delays
 _IDLE_NS = 1_000_000
-"""Smallest pause of the board that shows a late sequence; shorter ones may be its own."""
-_OF_20 = 20  # one of this many sequences may come late
+"""Pause above which the board has waited for a late sequence; boards also make shorter pauses."""
+_ONE_LATE_IN = 20  # number of sequences, of which one may come late
 _REMEMBERED = 250  # number of sequences for which transfer times are remembered
 
 
 @dataclass(frozen=True)
 class Sent:
-    """Sequence that was sent; times by the loop's clock."""
+    """Sequence that was sent, with times by the loop's clock."""
 
     number: int
-    taken_ns: int  # capture time of its image
+    taken_ns: int  # capture time of the image
     deadline_ns: int
-    elapsed_ns: int  # time of the run at its deadline
+    elapsed_ns: int  # time of the run at the deadline
     waited_ns: int  # wait for space on the board; 0 if the board was not the cause
     sent_ns: int
     period_ns: int
@@ -238,12 +238,11 @@ class Sent:
 
 
 class PhaseLock:
-    """Moves a loop's deadlines later, so that images are as fresh as the board's reports allow.
+    """Phase lock, which moves a loop's deadlines later, so that images are as fresh as possible.
 
-    A sequence is complete a delay after its deadline. A deadline lies before the time at which the
-    board needs the sequence by the delay that 19 of 20 recent sequences kept, the transfer time,
-    and `GUARD_NS`. Deadlines never move earlier: a late sequence makes the board wait, and so moves
-    all later needs of the board.
+    The board reports when it starts each sequence. Deadlines move later until they precede starts
+    by the sum of `GUARD_NS`, the transfer time, and the delay until sending that 19 of 20 recent
+    sequences kept. Deadlines never move earlier: a late sequence also delays later starts.
     """
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:
@@ -258,8 +257,8 @@ class PhaseLock:
         """First pulse of the newest sequence whose start became known since the last step."""
 
     def follow(self, zero_ns: int, sent: Sent | None = None) -> int:
-        """Store the sent sequence, and return by how much deadlines move later. Run time is 0 at
-        ``zero_ns`` of the loop's clock."""
+        """Store the sent sequence, and return the time by which deadlines must move later, ns.
+        ``zero_ns`` is the start of the run by the loop's clock."""
         if sent is not None:
             self._delays_ns.append(sent.sent_ns - sent.waited_ns - sent.deadline_ns)
             self._pending.append(sent)
@@ -277,7 +276,7 @@ class PhaseLock:
             self._statistics.waited.add(waited_ns / 1000)
             while self._lines and self._lines[0][0] < number - _REMEMBERED:
                 self._lines.popleft()
-            # Typical transfer time, from two sequences on: one may have been delayed.
+            # Use the median transfer time of at least two sequences: one may have been delayed.
             lines, line_ns = sorted(self._lines, key=itemgetter(1)), 0
             if len(lines) > 1:
                 line_ns = lines[(len(lines) - 1) // 2][1]
@@ -285,8 +284,8 @@ class PhaseLock:
                 self._lines.append((number, waited_ns))
                 line_ns = max(line_ns, waited_ns)
             self._free_ns = begun_ns + earlier.period_ns
-            # the delay that 19 of 20 sequences keep
-            usual_ns = sorted(self._delays_ns)[-1 - len(self._delays_ns) // _OF_20]
+            # delay that 19 of 20 recent sequences kept
+            usual_ns = sorted(self._delays_ns)[-1 - len(self._delays_ns) // _ONE_LATE_IN]
             room_ns = begun_ns - zero_ns - earlier.elapsed_ns
             more_ns = max(0, room_ns - line_ns - usual_ns - GUARD_NS)
         return more_ns

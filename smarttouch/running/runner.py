@@ -1,4 +1,4 @@
-"""Runs: their assembly and their end at zero, and functions to run, step and replay."""
+"""Runner, which assembles a run and ends it at zero; and functions to run, step and replay."""
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
@@ -47,9 +47,9 @@ class Runner:
     """One run of a source on a display; the source is closed at the end.
 
     ``force`` is a source of finger force or its URL. The default is the profile's ``force.source``
-    if a finger may be on the board, else the force from source or board. ``load_kernels`` returns
-    the kernels of a profile. ``controls`` makes the controls from the initial state and the offered
-    modes. Time is the board's, or real time if the run is paced.
+    if a finger may be on the board, and otherwise the force that the source or the board knows.
+    ``load_kernels`` returns the kernels of a profile. ``controls`` makes the controls from the
+    initial state and the offered modes. If the run is paced, time is real, otherwise the board's.
     """
 
     def __init__(
@@ -94,13 +94,13 @@ class Runner:
         """Open the display for a block, and yield the loop that delivers inputs.
 
         The display is at zero after the block. If ``orderly``, a signal only requests a stop, and
-        the block ends by itself.
+        the block must then end by itself.
         """
         source, display, statistics = self.source, self.display, self.statistics
         board, stop, ended = display.board, self._stop, "fault"
         report: BoardReport | None = None
         with contextlib.ExitStack() as stack:
-            # Enter this first, so that it is left last: a stop then also waits for the recording.
+            # Enter this first, so that it exits last: `smarttouch stop` also waits for recordings.
             to_its_end = stack.enter_context(stoppable_run(stop, board))
             stack.enter_context(display.stopping.on_stop(lambda: stop.ask(display.stopping.reason)))
             for listener in reversed(self._listeners):
@@ -138,13 +138,13 @@ class Runner:
             statistics.notes += listener.notes
 
     def _prepared(self) -> tuple[RunContext, Pipeline]:
-        """Do all slow preparations before the board is opened."""
+        """Return context and pipeline after all slow preparations, before the board is opened."""
         config, source, display = self.config, self.source, self.display
         driver, profile = display.board.driver, display.profile
         if display.on_a_finger:
             if config.intensity is None:
                 raise SmartTouchError(
-                    "a finger may be on the board, but no intensity is set: give one, for example "
+                    "a finger may be on the board, but no intensity is set: set it, for example by "
                     "--intensity 0.3"
                 )
             profile = source.narrowed(profile)
@@ -176,8 +176,8 @@ class Runner:
 
     @contextmanager
     def _open_loop(self, context: RunContext, pipeline: Pipeline) -> Iterator[Loop]:
-        """Open the board for a block and yield its loop; afterwards the board is closed, at
-        zero."""
+        """Open the board for a block, and yield the loop. After the block the board is closed and
+        at zero."""
         board, profile, source = context.board, context.profile, self.source
         on_a_finger = self.display.on_a_finger
         clock = SimulatedClock() if board.simulated_time and not self.config.paced else None
@@ -211,8 +211,8 @@ class Runner:
         rms = rms_ma_cm2(profile)
         if on_a_finger and rms > ADVISORY_RMS_MA_CM2:
             board.notes.append(
-                f"at full intensity the pulses of an electrode are {rms:.0f} mA/cm² r.m.s.: above "
-                f"{ADVISORY_RMS_MA_CM2:g}, IEC 60601-2-10 requires the operator's attention"
+                f"at full intensity the current density is {rms:.0f} mA/cm² r.m.s.: above "
+                f"{ADVISORY_RMS_MA_CM2:g} mA/cm², IEC 60601-2-10 requires the operator's attention"
             )
         if on_a_finger and not self.statistics.real_time:
             board.notes.append(priority_advice())
@@ -230,7 +230,7 @@ class Runner:
         return int(self.statistics.seconds * 1e9)
 
     def _require_force(self) -> None:
-        """Raise SmartTouchError if there is no force that allows current."""
+        """Raise SourceError if no finger force is known, without which no current flows."""
         source, force, board = self.source, self._force, self.display.board
         finger = self.display.on_a_finger
         if force is not None:
@@ -240,10 +240,10 @@ class Runner:
             flows = board.capabilities.force or source.measures_force or known
         if not flows:
             raise SourceError(
-                f"the finger's force is not measured: neither {title} nor the board does, so "
-                "there would be no current: give a source of force, for example --force "
-                "hx711:PORT, or, where nothing measures it and a person presses, "
-                f"--force fixed:{self.display.profile.force.full_n:g} (N)"
+                f"neither {title} nor the board measures the finger's force, and without force no "
+                "current flows: choose a source of force, for example --force hx711:PORT. If a "
+                "person presses and nothing measures the force, state it by --force "
+                f"fixed:{self.display.profile.force.full_n:g} (N)"
             )
 
 
@@ -261,19 +261,19 @@ def _warnings(profile: Profile, bank: KernelBank, mode: Mode) -> Iterator[str]:
         worst = float(bank.off_target[Afferent.PC].max())
         yield (
             f"PC mode is not selective: shallower classes are activated up to {worst:.1f} times "
-            f"as strongly as PC, and fire at {1 / worst:.0%} of its current. Raise the intensity "
-            "slowly."
+            f"as strongly as PC, and fire at {1 / worst:.0%} of the current that PC needs. Raise "
+            "the intensity slowly."
         )
 
 
 def _account(report: BoardReport, dose: Dose) -> list[str]:
-    """Return sentences about what a board delivered."""
+    """Return two sentences: the counts of what was delivered, and the dose of the session."""
     return [
-        f"counted by the {report.by}: {report.slots} slots, strongest "
-        f"{report.max_current_ma:.3f} mA, {report.max_charge_uc:.3f} µC, {report.violations} "
-        "violations",
-        f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode, "
-        f"net charge {dose.most_net_uc:.3f} µC",
+        f"counted by the {report.by}: {report.slots} slots, pulses of at most "
+        f"{report.max_current_ma:.3f} mA and {report.max_charge_uc:.3f} µC, {report.violations} "
+        "violations of limits",
+        f"dose: {dose.seconds:.3f} s of current, at most {dose.most_mc:.4f} mC through one "
+        f"electrode, net charge of at most {dose.most_net_uc:.3f} µC",
     ]
 
 
@@ -302,7 +302,7 @@ def run(
     listeners : iterable of Listener or callable
         Listeners; a plain function receives each `StepResult`.
     force : ForceSource or str, optional
-        Source of finger force, or its URL; by default the source or the board. If a finger may be
+        Source of finger force, or its URL; by default ``source`` or the board. If a finger may be
         on the board, force must be measured, or stated as ``"fixed:0.9"``, here or in the profile's
         ``force.source``.
     imaging : callable, optional
@@ -348,7 +348,7 @@ def steps(
 ) -> Iterator[Step]:
     """Yield each frame of a source with its tactile image and sequence, without board and clock.
 
-    Sequences are as for a board that stores kernels, such as ``emulator:`` and ``simulated:``.
+    Sequences are made as for a board that stores kernels, such as ``emulator:`` or ``simulated:``.
 
     Parameters
     ----------
@@ -402,17 +402,17 @@ def replay(
     path : Path or str
         The recording.
     display : Display
-        Its profile may differ from the recorded one. If a finger may be on the board, the recording
-        only lowers limits, and the recorded force is not used.
+        Display, whose profile may differ from the recorded profile. If a finger may be on the
+        board, the recording can only lower limits, and the recorded force is not used.
     listeners, force, stop
         See `run`.
     **settings
-        Settings of `RunConfig` that replace recorded ones; ``intensity`` scales the recorded one.
+        Settings of `RunConfig` to replace; ``intensity`` scales the recorded intensity.
 
     Raises
     ------
     RecordingError
-        If there is no such recording, or the board does not offer its modes.
+        If the recording cannot be read, or the board does not offer the recorded modes.
     SmartTouchError
         See `run`.
 

@@ -1,4 +1,4 @@
-"""Steps of a run, from the input to the sent sequence, and their listeners."""
+"""Steps of a run, each from an input to a sent scan sequence, and base class of listeners."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from smarttouch.sources.source_contract import Source
 
 Measured = tuple[ScanSequence, NDArray[np.float32]]
-"""A delivered sequence, and the voltage of the source in each slot, (S,) V."""
+"""Delivered sequence, with the voltage of the board's current source in each slot, (S,) V."""
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Input with its sequence, and everything that the sequence depended on.
+    """Input, the scan sequence made from it, and everything that the sequence depended on.
 
-    ``input`` has the effective force. ``level``, in [0, 1], is the user's intensity. ``restarted``
-    is whether intensity restarted at zero. ``asked_us`` is the requested period. ``observed`` are
-    the measurements of the board before. ``allowed`` is the strength that the ramp allowed, None
-    without a board.
+    The force of ``input`` is the effective force. ``level``, in [0, 1], is the user's intensity.
+    ``restarted`` is true if intensity restarted at zero. ``asked_us`` is the requested period.
+    ``observed`` contains the voltages that the board measured since the previous step. ``allowed``
+    is the largest strength that the board's ramp allowed; it is None without a board.
     """
 
     __repr__ = one_line
@@ -57,11 +57,11 @@ class FirstPulse:
     Attributes
     ----------
     number : int
-        The board's number of the sequence.
+        Number of the sequence on its board.
     latency_us : float, µs
-        Time from the capture of its image to its first pulse.
+        Time from the capture of the image to the first pulse.
     waited_us : float, µs
-        Time from the last byte written to the first pulse.
+        Time from writing the last byte of the sequence to its first pulse.
     """
 
     number: int
@@ -71,7 +71,7 @@ class FirstPulse:
 
 @dataclass(frozen=True, eq=False)
 class StepResult:
-    """Step, and how it was sent.
+    """Step, and the result of sending its sequence.
 
     Attributes
     ----------
@@ -79,17 +79,17 @@ class StepResult:
     number : int or None
         Number of the sequence on its board; None if it was lost with the board.
     latency_us : float
-        Time from reading the input to the last byte written.
+        Time from reading the input to writing the last byte of the sequence.
     work_us : float
-        Processor time of the loop.
+        Processor time of the loop for this step.
     acknowledged, refused : int
-        How many sequences the board had begun to deliver, and how many it had refused.
+        Numbers of sequences that the board had begun to deliver, and had refused, up to this step.
     clock_ns : int
-        Real time since the start of the run at which the step began, including all delays; -1 if
+        Real time from the start of the run to the start of the step, including all delays; -1 if
         unknown.
     first_pulse : FirstPulse or None
-        First pulse of the latest sequence whose start the board reported since the last step. None
-        if there is no report.
+        First pulse of the latest sequence whose start the board has reported since the previous
+        step. None if the board has reported no start.
 
     Examples
     --------
@@ -124,18 +124,18 @@ class StepResult:
 
     @property
     def sequence(self) -> ScanSequence:
-        """Sent sequence."""
+        """Scan sequence of the step."""
         return self.step.sequence
 
     @property
     def delivered_ma(self) -> NDArray[np.float32]:
-        """Current at each stimulated point, (E,) mA; 0 elsewhere."""
+        """Current at each stimulated electrode, (E,) mA, magnitude; 0 at all other electrodes."""
         sequence = self.step.sequence
         delivered_ma = np.zeros(sequence.electrodes, np.float32)
         current_ma = np.abs(sequence.current_ua.astype(np.float32)) / 1000
         delivered_ma[sequence.site] = current_ma.max(axis=1, initial=0)
         if sequence.points > sequence.slots:
-            # Several points share a slot.
+            # In a shared slot, `site` names only the first of several points.
             points = np.flatnonzero(self.step.tactile.activation.any(axis=0))
             delivered_ma[points] = current_ma.max(axis=0)[points]
         return delivered_ma
@@ -143,9 +143,9 @@ class StepResult:
 
 @dataclass
 class RunContext:
-    """Parts of a run for its listeners, which must not change them.
+    """Objects of a run that listeners may read, but must not change.
 
-    ``settings`` is everything that sequences depend on, for JSON.
+    ``settings`` contains everything that sequences depend on, as recordings store it in JSON.
     """
 
     source: "Source"
@@ -159,16 +159,16 @@ class RunContext:
 
 
 class Listener:
-    """Base of listeners, which follow a run; methods do nothing by default.
+    """Base class of listeners, which receive the steps and events of a run.
 
-    An exception in any method ends the run, with the board at zero.
+    Methods do nothing by default. An exception in any method ends the run, with the board at zero.
 
     Attributes
     ----------
     notes : list of str
         Sentences for the user after the run.
     vibrates_pc : bool
-        Whether this listener vibrates PC, which then receives no current.
+        Whether this listener drives a mechanical vibrator for PC, which then gets no current.
 
     Examples
     --------
@@ -191,26 +191,26 @@ class Listener:
         self.notes = []
 
     def prepare(self, run: RunContext) -> None:
-        """Do slow preparations before the board is opened."""
+        """Do slow preparations, before the board is opened."""
 
     def start(self, run: RunContext) -> None:
-        """Begin, with the board open and at zero."""
+        """Begin to follow the run. The board is open and at zero."""
 
     def step(self, result: StepResult) -> None:
-        """Process a step. The loop calls this, so it must be fast."""
+        """Process a step, quickly, because the loop waits for the end of this call."""
 
     def event(self, event: Event) -> None:
-        """Process an event, from any thread, also before the start."""
+        """Process an event. Any thread may call this, even before `start`."""
 
     def finish(self, run: RunContext) -> None:
-        """Complete results after a run without a fault; the board is closed."""
+        """Complete results after a run without a fault. The board is closed."""
 
     def close(self) -> None:
-        """Release resources, in any case; a second call does nothing."""
+        """Release resources, also after a fault; a second call does nothing."""
 
 
 class OnStep(Listener):
-    """Calls a function with each `StepResult`."""
+    """Listener that calls a function with each `StepResult`."""
 
     def __init__(self, function: Callable[[StepResult], object]) -> None:
         super().__init__()
@@ -221,7 +221,7 @@ class OnStep(Listener):
 
 
 class OnEvent(Listener):
-    """Calls a function with each `Event`."""
+    """Listener that calls a function with each `Event`."""
 
     def __init__(self, function: Callable[[Event], object]) -> None:
         super().__init__()
@@ -232,15 +232,15 @@ class OnEvent(Listener):
 
 
 def as_listeners(followers: Iterable[Listener | Callable[[StepResult], object]]) -> list[Listener]:
-    """Convert functions of a step to listeners.
+    """Return a list of listeners, with each plain function wrapped in `OnStep`.
 
-    Raises SmartTouchError for other objects.
+    Raises SmartTouchError for an object that is neither a listener nor a function.
     """
     listeners = list(followers)
     for listener in listeners:
         if isinstance(listener, type) or not (isinstance(listener, Listener) or callable(listener)):
             raise SmartTouchError(
                 f"{getattr(listener, '__name__', kind_in_words(listener))} is not a listener: give "
-                "an object of a subclass of Listener, or a function of a StepResult"
+                "an instance of a subclass of Listener, or a function that takes a StepResult"
             )
     return [entry if isinstance(entry, Listener) else OnStep(entry) for entry in listeners]

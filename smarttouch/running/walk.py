@@ -16,18 +16,18 @@ from smarttouch.running.runner import Runner
 
 
 class ElectrodeReached(Note):
-    """The sweep reached an electrode."""
+    """Event: the electrode sweep has reached the next electrode."""
 
 
 class Walk(Program):
     """Program that drives one electrode after another, with a current that rises from zero.
 
-    Each electrode is driven with ``current_ma`` against all others, for ``seconds`` or until
-    `go_on`. Masked electrodes are left out.
+    At most ``current_ma`` flows between the electrode and all others, for ``seconds`` or until a
+    call of `go_on`. Masked electrodes are skipped.
     """
 
     fixed_mode: ClassVar[bool] = True
-    ended: ClassVar[str] = "all electrodes are tried"
+    ended: ClassVar[str] = "all electrodes have been tried"
 
     def __init__(
         self,
@@ -38,16 +38,16 @@ class Walk(Program):
     ) -> None:
         super().__init__(profile, "one electrode after another")
         if seconds is not None:
-            words = f"{seconds:g} s for each electrode"
+            words = f"a time of {seconds:g} s for each electrode"
             require_within(SmartTouchError, "seconds", seconds, 0, math.inf, words, above=True)
         full_ma = float(profile.full_ma.max())
-        words = f"{current_ma:g} mA, where {full_ma:g} mA are the strongest comfortable current,"
+        words = f"a current of {current_ma:g} mA (strongest comfortable current: {full_ma:g} mA)"
         require_within(SmartTouchError, "current_ma", current_ma, 0, full_ma, words, above=True)
         self._leaves, self._current_ma, self._seconds = False, current_ma, seconds
         self._sites = range(len(profile.electrodes)) if sites is None else sites
 
     def go_on(self) -> None:
-        """Go to the next electrode; from any thread."""
+        """Go to the next electrode. Any thread may call this."""
         self._leaves = True
 
     def program(self) -> None:
@@ -70,11 +70,11 @@ class Walk(Program):
                 while not level or (not self._leaves and self.now_ns - began_ns < each_ns):
                     self._count += 1
                     self._send(self._stimulus(activation, period_us, level))
-                    # Intensity rises from zero, no faster than the ramp.
+                    # After a first sequence at zero, the ramp limits how fast intensity rises.
                     level = float(most_ma / self._profile.full_ma[site])
 
 
 def run_walk(walk: Walk, display: Display, **options: Any) -> None:
-    """Run a sweep at full intensity; ``options`` are those of `Runner`."""
+    """Run a sweep at full intensity; ``options`` are passed to `Runner`."""
     config = RunConfig(scan="points", intensity=1.0)
     Runner(walk, display, config, load_kernels=single_bank, **options).run()
