@@ -21,7 +21,7 @@ _MIXES = np.vstack([(0.299, 0.587, 0.114), np.eye(3)[[1, 0, 2]], (1 - np.eye(3))
 """Weights of red, green and blue to choose from: luma (ITU-R BT.601), one channel, mean of two."""
 _AROUND = np.ones((5, 5), np.uint8)  # neighborhood of a pixel for the detection of edges
 _EDGE_LEVELS, _FEWEST_EDGES = 40, 50
-"""Smallest difference of gray levels at an edge, and number of edge pixels to choose weights by."""
+"""Smallest difference of gray levels at an edge, and smallest number of edges to choose weights."""
 _PRINT_SHARE = 0.1  # share of edge pixels, relative to the outline, above which a picture has print
 _NO_PAGE = 1 | 4  # bits of thumbnails and masks in the NewSubfileType of a TIFF
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
@@ -39,7 +39,7 @@ class GreyConverter:
     def __init__(self) -> None:
         self._black, self._white = 0.0, np.float64(0)
         self._mix = 0
-        self._ground: tuple[int, int | None] | None = None  # as from `_ground`
+        self._ground: tuple[int, int | None] | None = None  # result of `_ground`
 
     def convert(self, pixels: Pixels) -> NDArray[np.uint8]:
         """Convert an image to gray levels, (H, W) uint8.
@@ -88,8 +88,8 @@ def _ground(grey: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> tuple[int, int
 
 
 def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
-    """Return the index of the weights that keep edges of a colored image best: an edge counts fully
-    at half its largest contrast. Return ``present`` if these weights are nearly as good."""
+    """Return the index of the weights that preserve edges of a colored image best: half of the best
+    contrast is sufficient. Return ``present`` if these weights are nearly as good."""
     mixed = cv2.transform(colors[:: 1 + len(colors) // 400], _MIXES)
     edges = cv2.morphologyEx(mixed, cv2.MORPH_GRADIENT, _AROUND)
     edges = edges[edges.max(axis=2) >= _EDGE_LEVELS].astype(np.float32)

@@ -119,8 +119,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
 def on_frame(
     x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], optics: Optics
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Convert places on the page to places in a frame, as shares of its sides; NaN behind a tilted
-    camera."""
+    """Convert places on the page to shares of a frame's sides; NaN behind a tilted camera."""
     if optics.homography is None:
         turn = math.radians(optics.rotation_deg)
         cos, sin = math.cos(turn), math.sin(turn)
@@ -129,7 +128,7 @@ def on_frame(
         return across / optics.field_width_mm + 0.5, down / optics.field_height_mm + 0.5
     a, b, c, d, e, f, g, h, one = optics.homography
     before = g * x_mm + h * y_mm + one
-    # The middle of the array is in front of the camera; other signs are behind the camera.
+    # The middle of the array is in front of the camera; places with the other sign are behind it.
     before = np.where(before * np.sign(one) > 1e-9, before, np.nan)
     column, row = (a * x_mm + b * y_mm + c) / before, (d * x_mm + e * y_mm + f) / before
     return (column + 0.5) / optics.sensor_columns, (row + 0.5) / optics.sensor_rows

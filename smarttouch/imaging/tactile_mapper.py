@@ -17,10 +17,10 @@ LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper
 LEAST_GRAINS, PALE = 4.0, 0.3
 """Smallest contrast of print relative to the paper's grain; and contrast, relative to white paper,
 above which grain is ignored."""
-BLURRED = 0.3  # contrast above which blurred print counts as ink, at most 0.6 of the largest
+BLURRED = 0.3  # contrast above which blurred print is ink, at most 0.6 of the largest contrast
 GREY_GUARD = 0.41  # share of pixels between paper and ink above which a frame is noise
 BLACK = 0.2  # level, relative to white, below which wide areas are print, not a dark desk
-WHITE_DECAY_PER_S = 0.3  # decay rate of the white level: a black headline must not become white
+WHITE_DECAY_PER_S = 0.3  # decay rate of the white level, so slow that black headlines stay black
 _CLASSES, _ROWS = len(Afferent), {mode: mode.afferents[0] for mode in Mode}
 _SAMPLES = 32  # rows and columns of the sample from which levels are estimated
 
@@ -30,9 +30,9 @@ class Binarizer:
 
     The threshold is halfway between paper and ink, or darker in a blurred frame. The paper level is
     the frame after removal of dark spots narrower than half the frame, so that wide shadows and a
-    dark desk are not ink. Wide areas are ink only if they are black compared with the white level,
-    which earlier frames also determine. A frame has no ink if its contrast is low, or if many
-    pixels lie between paper and ink, as in noise.
+    dark desk are not ink. Wider areas are ink only if they are black compared with the white level.
+    A frame has no ink if its contrast is low, or if many pixels lie between paper and ink, as in
+    noise.
     """
 
     def __init__(self, shape: tuple[int, int], light_on_dark: bool = False) -> None:

@@ -29,7 +29,7 @@ _COMPARED = (
 
 @dataclass
 class CheckReport:
-    """Result of a check: numbers of compared items, and differences; the first `KEPT` are listed.
+    """Result of a check, with the numbers of compared items and the first `KEPT` differences.
 
     ``different`` counts all differences. ``left_out`` describes what could not be compared.
     """
@@ -43,7 +43,7 @@ class CheckReport:
 
     @property
     def exact(self) -> bool:
-        """True if everything compared is identical."""
+        """Whether all compared values are identical."""
         return not self.different
 
     def describe(self) -> str:
@@ -95,7 +95,7 @@ def check_recording(
 
 
 def assert_replays(path: Path | str, **same: Any) -> None:
-    """Raise AssertionError unless a recording's sequences are reproduced; see `check_recording`."""
+    """Raise AssertionError if a recorded sequence is not reproduced; see `check_recording`."""
     __tracebackhide__ = True
     report = check_recording(path, **same)
     if not report.exact:
@@ -103,7 +103,7 @@ def assert_replays(path: Path | str, **same: Any) -> None:
 
 
 def rebuild_pipeline(recording: RecordedRun, profile: Profile, bank: KernelBank) -> Pipeline:
-    """Return a pipeline in its state at the start of a recording."""
+    """Return a pipeline in the state that it had at the start of the recorded run."""
     run = recording.run
     pipeline = Pipeline(profile, bank, run, run.timing, vibrated=run.vibrated, in_sums=run.in_sums)
     adaptation = ledger = recharge = None

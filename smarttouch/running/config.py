@@ -55,8 +55,8 @@ class RunConfig(Table):
     balance : bool
         Whether to keep the net charge of each electrode near zero.
     paced : bool
-        Whether a run with simulated time is as slow as in real time, so that a person can watch and
-        control it. On other boards a run always takes real time.
+        Whether a run on a board with simulated time takes real time, so that a person can watch and
+        control the run. On other boards a run always takes real time.
     seed : int
         Seed of the source; stored in recordings.
     subject, note : str
@@ -150,5 +150,5 @@ class RunConfig(Table):
 
 
 def configured(config: RunConfig | None, settings: dict[str, Any]) -> RunConfig:
-    """Return a copy of a configuration with changed settings; the default is a new one."""
+    """Return a configuration with changed settings, by default based on ``RunConfig()``."""
     return (config or RunConfig()).model_copy(update=settings)

@@ -132,7 +132,7 @@ def open_display(
     profile: Profile | str | None = None,
     **options: Any,
 ) -> Display:
-    """Return a display for the board with a URL; runs open the board.
+    """Return a display for a board; the board is opened later, by each run.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ class Session(Program):
     def __exit__(self, *exception: object) -> None:
         kind, error, _ = exception
         if isinstance(kind, type) and error is not self._failed:
-            # The program failed, so set the board to zero instead of finishing its patterns.
+            # The program failed: set the board to zero at once.
             self._stop.ask(f"the program raised {kind.__name__}")
         loop, self._outside = self._loop, "its with block is over"
         self._leave()

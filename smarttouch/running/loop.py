@@ -49,8 +49,8 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, checked_input
 
 HELD_UP_NS = 1_000_000
-"""Duration of a send, less its processor time, above which it has waited for the board."""
-_LATE_AGAIN_NS = 5_000_000_000  # time without a late sequence until the next one is reported
+"""Duration of a send, less its processor time, above which the send has waited for the board."""
+_LATE_AGAIN_NS = 5_000_000_000  # time without late sequences after which one is reported again
 
 LOG = logging.getLogger("smarttouch.run")
 """Logger of events, silent unless a program adds handlers."""
@@ -202,9 +202,9 @@ class Inputs:
     _inkless_since_ns: float | None = None  # infinite after the user got advice
 
     def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
-        """Return the input with the effective force (zero if unknown), and the effective level.
+        """Return the input with the effective force, 0 if unknown, and the level; None at the end.
 
-        ``time_ns`` is the time of the run, ``now_ns`` the loop's clock. None at the source's end.
+        ``time_ns`` is the time of the run, ``now_ns`` the time by the loop's clock.
         """
         source, state = self.source, self.controls.state(time_ns)
         if state.mode is not self.pipeline.mode:
@@ -245,12 +245,12 @@ class Inputs:
         return current, level
 
     def _look_for_ink(self, time_ns: int) -> None:
-        """Advise the user once if a pressing finger sees no ink, as nothing can be felt then."""
+        """Advise the user once if the finger presses, but the sensor has seen no ink."""
         if self._inkless_since_ns is None:
             self._inkless_since_ns = time_ns
         elif time_ns - self._inkless_since_ns >= NO_INK_NS:
             self._inkless_since_ns = math.inf
-            words = f"no ink was seen in the first {NO_INK_NS / 1e9:g} s: move to print to feel it"
+            words = f"no ink was seen in the first {NO_INK_NS / 1e9:g} s: move the finger to print"
             self.emit(Advice(time_ns, words))
 
     def begins_at_zero(self, time_ns: int, now_ns: int) -> bool:
@@ -292,7 +292,7 @@ class Inputs:
     def _handle_lift(self, time_ns: int, now_ns: int) -> None:
         """Keep intensity at zero for `LIFT_NS` after the board has detected a lifted finger."""
         if self.board.lifted and now_ns >= self._lifted_until_ns:
-            # Only a pulse can show whether the finger is back: try again, from zero.
+            # Only a pulse can show whether the finger has returned: pulse again, from zero.
             self.board.lifted = False
             self.statistics.lifts += 1
             self.emit(FingerLifted(time_ns))
@@ -376,7 +376,7 @@ class Loop:
             yield
 
     def resume(self) -> None:
-        """Move a deadline that passed during a pause without sequences to the current time."""
+        """After a pause without sequences, move the next deadline to now if it has passed."""
         if self._start_ns is None:
             self._start_ns = self._zero_ns = self._clock.now_ns()
         elif (idle_ns := self.time_ns() - self.elapsed_ns) > 0:
@@ -384,7 +384,7 @@ class Loop:
             self._expected_ns, self._over_ns = None, 0
 
     def time_ns(self) -> int:
-        """Return the time since the start of the run, ns, without delays."""
+        """Return the time since the start of the run, ns, less the delays that moved deadlines."""
         return self._clock.now_ns() - self._zero_ns
 
     def begins_at_zero(self) -> bool:
@@ -444,7 +444,7 @@ class Loop:
             step, number, (sent_ns - in_hand_ns) / 1000, (over_ns - worked_ns) / 1000,
             board.acknowledged, board.refused, None if phase is None else phase.newest, since_ns,
         )  # fmt: skip
-        # The safety gate and writing also use processor time: the rest of the send was a wait.
+        # Subtract the processor time of the safety gate and of writing: the rest was a wait.
         waited_ns = sent_ns - sending_ns - (over_ns - own_ns)
         sent = Sent(
             number or 0, in_hand_ns - step.input.age_ns, deadline_ns, self.elapsed_ns,
@@ -469,7 +469,7 @@ class Loop:
         self.inputs.pipeline.restart_at_zero()
 
     def _plan_next(self, result: StepResult, sent: Sent, now_ns: int) -> None:
-        """Add a step to the statistics, and move deadlines later by its delays."""
+        """Add a step to the statistics, and move deadlines later by the delays of the step."""
         statistics, phase = self.inputs.statistics, self._phase
         if result.number is None:
             self._zero_ns += sent.sent_ns - now_ns

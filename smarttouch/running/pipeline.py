@@ -46,7 +46,7 @@ class Regulator:
     _waited: int = 0
 
     def balance(self, sequence: ScanSequence, ledger: ChargeBalance) -> ScanSequence:
-        """Return a sequence, if needed reversed or with a recharge phase; add it to the ledger."""
+        """Balance the charge of a sequence, add the result to the ledger, and return the result."""
         if self.recharge is None:
             balanced = ledger.balancing(sequence)
             self._reversed += balanced is not sequence
@@ -149,7 +149,7 @@ class Pipeline:
     def offered(self) -> tuple[Mode, ...]:
         """Return the modes that board, profile and kernels offer.
 
-        In mode color this is only color. In other modes color is not offered: it needs stimuli.
+        In mode color only color is offered; in other modes it is not, because it needs stimuli.
         """
         modes = []
         for mode in Mode:

@@ -1,4 +1,4 @@
-"""Programs as sources of a run: they show patterns one after another, or only the latest one."""
+"""Programs as sources of a run: they show patterns one after another, or always the latest."""
 
 import contextlib
 import math
@@ -113,7 +113,7 @@ class Program(Source, Listener):
         self._loop: Loop | None = None  # loop of the current run
         self._context: RunContext
         self._mapper: TactileMapper
-        self._outside = "it is not in its with block"
+        self._outside = "enter its with block first"
         self._failed: BaseException | None = None
         self._input: Input | None = None
         self._result: StepResult
@@ -168,7 +168,7 @@ class Program(Source, Listener):
             self._last_number = result.input.number
 
     def read(self, time_ns: int) -> Input | None:
-        """Return the current input."""
+        """Return the stimulus to send next."""
         return self._input
 
     def rise(
@@ -289,7 +289,7 @@ class Program(Source, Listener):
         if first is not None and (start := board.start_of(first)) is not None:
             board_us = start[1]
             if not board.simulated_time:
-                # Convert times, because only the board's clock continues during a suspension.
+                # Of the two clocks, only the board's runs while the machine is suspended.
                 clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start[0])
         return Shown(begun_ns, clock_ns, board_us, sequences, pulses, intensity, current_ma, 0.0)
 
@@ -305,7 +305,7 @@ class Program(Source, Listener):
         require_within(SmartTouchError, "seconds", seconds, 0, math.inf, above=True)
         with self._turn():
             end_ns = self.now_ns + (math.inf if seconds == math.inf else round(1e9 * seconds))
-            # End exactly in time: the last sequence includes a rest too short for a sequence.
+            # End exactly in time: add a rest too short for a sequence to the last sequence.
             while (left_us := (end_ns - self.now_ns) / 1000) >= self._least_us:
                 if until is not None and until():
                     return
@@ -315,7 +315,7 @@ class Program(Source, Listener):
     async def show_async(
         self, pattern: Pattern, seconds: float, level: Level = 1.0, rate_hz: float | None = None
     ) -> Shown:
-        """Show a pattern like `show`, while other tasks run; a canceled task ends its pattern."""
+        """Show a pattern like `show` while other tasks run; canceling the task ends the pattern."""
         import asyncio
 
         call = partial(self.show, pattern, seconds, level, rate_hz=rate_hz)
@@ -404,7 +404,7 @@ class Program(Source, Listener):
     @contextmanager
     def _turn(self, waits: bool = True) -> Iterator[Loop]:
         """Wait until no other thread shows a pattern; yield the loop, with its next deadline now.
-        If ``waits``, the thread that sends patterns of `put` pauses until then."""
+        If ``waits``, the thread that sends patterns of `put` gives way to this thread."""
         waiting = [object()] * waits
         self._waiting.extend(waiting)
         self._news.set()
@@ -444,7 +444,7 @@ class Program(Source, Listener):
         loop = self._loop
         if loop is None or loop.stop.event.is_set():
             why = self._outside if loop is None else loop.stop.reason
-            raise SmartTouchError(f"the session has ended: {why}")
+            raise SmartTouchError(f"the session is not running: {why}")
         if (canceled := CANCELED.get()) is not None and canceled.is_set():
             raise SmartTouchError("the pattern was canceled")
         return loop
@@ -471,7 +471,7 @@ class Program(Source, Listener):
         return (self.now_ns - begun_ns) / 1e9
 
     def note_opening(self) -> None:
-        """Report that the ramp is rising. Called before each weak pulse; by default no effect."""
+        """Report that the ramp is rising, before each weak pulse. Does nothing by default."""
 
     def _is_open(self, level: float, exact: bool) -> bool:
         asked = level * (1.0 if exact else self.gate * self.user_level)
@@ -516,7 +516,7 @@ class Program(Source, Listener):
         return active
 
     def checked(self, pattern: Pattern | None) -> NDArray[np.float32] | Frame:
-        """Return a pattern as activation, (3, E), or as a frame. Raises SourceError if invalid."""
+        """Return a pattern as activation, (3, E), or frame. Raises SourceError if it is invalid."""
         electrodes, mode = self._nothing.shape[1], self.mode
         if pattern is None:
             return self._nothing
@@ -549,7 +549,7 @@ class Program(Source, Listener):
 
     @property
     def gate(self) -> float:
-        """Present factor of intensity from the finger's force, in [0, 1]."""
+        """Factor by which the finger's force now scales intensity, in [0, 1]."""
         if self._loop is None:
             return 0.0
         force_n = self._loop.inputs.force_n(
@@ -559,10 +559,10 @@ class Program(Source, Listener):
 
     @property
     def user_level(self) -> float:
-        """Present factor of intensity from the user's level, in [0, 1]; 0 while paused."""
+        """Factor by which the user's level now scales intensity, in [0, 1]; 0 while paused."""
         return self.controls.state(self.now_ns).current_level
 
     @property
     def mode(self) -> Mode:
-        """Present mode of the run."""
+        """Mode of the run at this time."""
         return self.controls.state(self.now_ns).mode

@@ -45,7 +45,7 @@ class RecordingSource(Source):
             self.notes.append(f"{recording.path} is cut: it is played up to the cut")
 
     def read(self, time_ns: int) -> Input | None:
-        """Return the latest recorded input up to a time; None after the last."""
+        """Return the latest recorded input up to a time; None after the last input."""
         while self._ahead and (not self._now or self._ahead.step.input.time_ns <= time_ns):
             self._advance()
         assert self._now is not None
@@ -84,7 +84,7 @@ class RecordingSource(Source):
         before, self._now = self._now, self._ahead
         assert self._now is not None
         recorded, last = self._now.step.input, None if before is None else before.step.input
-        # Several images may have the same number.
+        # Several images may have the same number, so compare the images, too.
         if last is None or (recorded.number, id(recorded.image)) != (last.number, id(last.image)):
             self._drop()
             self.frames += 1
@@ -129,7 +129,7 @@ class RecordedControls(Controls):
                 )
 
     def state(self, time_ns: int) -> ControlState:
-        """Return the recorded state at a time of the run, limited by the user."""
+        """Return the recorded state at a time of the run, with the user's level and pause."""
         today = super().state(time_ns)
         if not self._recorded:
             return today
@@ -138,7 +138,7 @@ class RecordedControls(Controls):
         return replace(today, mode=recorded.mode, level=today.level * recorded.level)
 
     def next_mode(self) -> None:
-        """Do nothing, as the recording determines the mode."""
+        """Do nothing, because the recording determines the mode."""
 
     def choose_mode(self, mode: Mode | str) -> None:
-        """Do nothing, as the recording determines the mode."""
+        """Do nothing, because the recording determines the mode."""

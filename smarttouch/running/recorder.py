@@ -26,7 +26,7 @@ from smarttouch.running.recording_format import (
 )
 from smarttouch.running.step import Listener, RunContext, StepResult
 
-CHUNK_S = 1.0  # longest time until steps are on disk; later ones are lost if the program is killed
+CHUNK_S = 1.0  # longest time until a step is on disk; newer steps are lost if the program is killed
 MOST_WAITING = 1000  # largest number of steps waiting for the disk
 
 
@@ -55,7 +55,7 @@ class Recorder(Listener):
         self._steps = 0
         self._image: tuple[NDArray[np.uint8], int] | None = None
         self._queue: queue.SimpleQueue[StepResult | Event | None] = queue.SimpleQueue()
-        self._thread: threading.Thread | None = None  # from start to close
+        self._thread: threading.Thread | None = None  # runs from `start` to `close`
 
     def prepare(self, run: RunContext) -> None:
         """Raise RecordingError if the file exists, before the display is opened."""
@@ -126,7 +126,7 @@ class Recorder(Listener):
     def _complaint(self) -> RecordingError:
         self._reported = True
         reason = getattr(self._failure, "strerror", None) or repr(self._failure)
-        return RecordingError(f"{self.path} is incomplete: {reason}; the steps before are kept")
+        return RecordingError(f"{self.path} is incomplete: {reason}; earlier steps are kept")
 
     def _write_all(self) -> None:
         """Write the queue until the end; after a failure only close the file."""

@@ -148,7 +148,7 @@ class RecordedRun:
 
     @property
     def whole(self) -> bool:
-        """True if the recording ended properly, and everything read so far was intact."""
+        """Whether the recording ended properly, and everything read so far was intact."""
         return self._ended and not self.damaged_chunks and not self.broken_steps
 
     @cached_property

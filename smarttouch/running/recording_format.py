@@ -102,7 +102,7 @@ class RecordedConfig(RunConfig):
 
 
 def recorded_settings(config: RunConfig, profile: Profile) -> dict[str, Any]:
-    """Return the recorded settings of a configuration, for JSON."""
+    """Return the settings of a configuration that recordings contain, for JSON."""
     settings = config.model_dump(mode="json", exclude={"scan", "seconds", "intensity", "paced"})
     shared = [afferent.name for afferent in config.sharing(profile).afferents]
     return settings | {"sharing": {"primaries": shared}}
@@ -111,7 +111,7 @@ def recorded_settings(config: RunConfig, profile: Profile) -> dict[str, Any]:
 def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) -> dict[str, str]:
     """Return the description of a run, with software versions and a digest.
 
-    Sequences depend only on the settings in `RecordedConfig`; others are for information.
+    Sequences depend only on the settings in `RecordedConfig`; all others are only for information.
     """
     versions = {
         "smarttouch": __version__, "python": platform.python_version(), "numpy": np.__version__,
@@ -128,7 +128,7 @@ def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) 
 
 
 def digest_of(about: dict[str, str]) -> str:
-    """Return the SHA-256 of a description, without its digest."""
+    """Return the SHA-256 of the description of a run, computed without the entry ``digest``."""
     rest = {key: value for key, value in about.items() if key != "digest"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
@@ -214,7 +214,7 @@ class StepDecoder:
                 self._image, self._image_index = _image_of(json.loads(data)), index
             elif topic == "/step":
                 message, longest_us = json.loads(data), LONGEST_PERIOD_US
-                # With other times, a replay could wait forever.
+                # With impossible times, a replay could wait forever.
                 if message["time_ns"] != at_ns or not 0 < message["period_us"] <= longest_us:
                     raise ValueError("not a time of this run")
                 return RecordedStep(index, self._step(index, message), message)

@@ -20,7 +20,7 @@ _FACTORS = 17  # number of factors of e covered by the bins: from 1 µs to 24 s
 
 
 class LatencyHistogram:
-    """Histogram of durations in bins of 1 %, with the exact maximum."""
+    """Histogram of durations in bins that are 1 % wide, with the exact maximum."""
 
     def __init__(self) -> None:
         self.bins: NDArray[np.int64] = np.zeros(_PER_E * _FACTORS + 1, np.int64)
@@ -276,7 +276,7 @@ class PhaseLock:
             self._statistics.waited.add(waited_ns / 1000)
             while self._lines and self._lines[0][0] < number - _REMEMBERED:
                 self._lines.popleft()
-            # Use the median transfer time of at least two sequences: one may have been delayed.
+            # Use the median of at least two transfer times: a single one may include a delay.
             lines, line_ns = sorted(self._lines, key=itemgetter(1)), 0
             if len(lines) > 1:
                 line_ns = lines[(len(lines) - 1) // 2][1]

@@ -49,7 +49,7 @@ class Runner:
     ``force`` is a source of finger force or its URL. The default is the profile's ``force.source``
     if a finger may be on the board, and otherwise the force that the source or the board knows.
     ``load_kernels`` returns the kernels of a profile. ``controls`` makes the controls from the
-    initial state and the offered modes. If the run is paced, time is real, otherwise the board's.
+    initial state and the offered modes. Time is real if the run is paced, else by the board.
     """
 
     def __init__(
@@ -230,7 +230,7 @@ class Runner:
         return int(self.statistics.seconds * 1e9)
 
     def _require_force(self) -> None:
-        """Raise SourceError if no finger force is known, without which no current flows."""
+        """Raise SourceError if no finger force is known: without force no current flows."""
         source, force, board = self.source, self._force, self.display.board
         finger = self.display.on_a_finger
         if force is not None:
