@@ -249,7 +249,7 @@ class PhaseLock:
         self._board, self._statistics = board, statistics
         self._pending: deque[Sent] = deque(maxlen=8)
         self._delays_ns: deque[int] = deque(maxlen=64)
-        self._lines: deque[tuple[int, int]] = deque(maxlen=8)
+        self._transfers: deque[tuple[int, int]] = deque(maxlen=8)
         """Number and transfer time, ns, of each sequence for which the board waited."""
         self._free_ns: int | None = None
         """Time at which the board was free after the newest sequence whose start is known."""
@@ -274,20 +274,20 @@ class PhaseLock:
             self.newest = FirstPulse(number, taken_ns / 1000, waited_ns / 1000)
             self._statistics.first_pulse.add(taken_ns / 1000)
             self._statistics.waited.add(waited_ns / 1000)
-            while self._lines and self._lines[0][0] < number - _REMEMBERED:
-                self._lines.popleft()
+            while self._transfers and self._transfers[0][0] < number - _REMEMBERED:
+                self._transfers.popleft()
             # Use the median of at least two transfer times: a single one may include a delay.
-            lines, line_ns = sorted(self._lines, key=itemgetter(1)), 0
-            if len(lines) > 1:
-                line_ns = lines[(len(lines) - 1) // 2][1]
+            transfers, transfer_ns = sorted(self._transfers, key=itemgetter(1)), 0
+            if len(transfers) > 1:
+                transfer_ns = transfers[(len(transfers) - 1) // 2][1]
             if self._free_ns is not None and begun_ns > self._free_ns + _IDLE_NS:
-                self._lines.append((number, waited_ns))
-                line_ns = max(line_ns, waited_ns)
+                self._transfers.append((number, waited_ns))
+                transfer_ns = max(transfer_ns, waited_ns)
             self._free_ns = begun_ns + earlier.period_ns
             # delay that 19 of 20 recent sequences kept
-            usual_ns = sorted(self._delays_ns)[-1 - len(self._delays_ns) // _ONE_LATE_IN]
-            room_ns = begun_ns - zero_ns - earlier.elapsed_ns
-            more_ns = max(0, room_ns - line_ns - usual_ns - GUARD_NS)
+            delay_ns = sorted(self._delays_ns)[-1 - len(self._delays_ns) // _ONE_LATE_IN]
+            lead_ns = begun_ns - zero_ns - earlier.elapsed_ns
+            more_ns = max(0, lead_ns - transfer_ns - delay_ns - GUARD_NS)
         return more_ns
 
     def forget(self) -> None:

@@ -49,7 +49,7 @@ class Runner:
     ``force`` is a source of finger force or its URL. The default is the profile's ``force.source``
     if a finger may be on the board, and otherwise the force that the source or the board knows.
     ``load_kernels`` returns the kernels of a profile. ``controls`` makes the controls from the
-    initial state and the offered modes. Time is real if the run is paced, else by the board.
+    initial state and the offered modes. Time is real if the run is paced, else that of the board.
     """
 
     def __init__(
