@@ -1,4 +1,4 @@
-"""Calibration of contact and of a load cell, and the profile that stores the results."""
+"""Calibration of skin contact and of a load cell, and the profile file for the results."""
 
 import math
 import os
@@ -37,12 +37,12 @@ _LIBRARIES = {"opencv": "opencv-contrib-python-headless", "numpy": "numpy", "sci
 
 
 class ProfileFile:
-    """Copy of a profile with changed keys, to be written to a ``.toml`` file.
+    """Copy of a profile in which a calibration sets keys, to be written to a ``.toml`` file.
 
-    ``start`` is a shipped profile or a file. All other keys and comments stay. With ``overwrite``
-    the output may exist. With ``update`` the output itself is edited, unless another program
-    changes it meanwhile. Raises ProfileError if the start is not a profile, and CalibrationError if
-    the output may not be written, both before anything is measured.
+    ``start`` names a shipped profile or a file. Its other keys and its comments are kept. With
+    ``overwrite`` an existing output is replaced; with ``update`` the output is also the start, and
+    is edited. Raises ProfileError if the start is not a profile, and CalibrationError if the output
+    cannot be written.
     """
 
     def __init__(
@@ -65,16 +65,16 @@ class ProfileFile:
             self.set("optics.flat_field", os.path.relpath(named_path, output.absolute().parent))
 
     def beside(self, ending: str) -> Path:
-        """Return the output's path with another ending."""
+        """Return the path of the output with another file extension."""
         return self.output.with_name(f"{self.output.stem}.{ending}")
 
     def set(self, key: str, value: Value) -> None:
-        """Set one key, such as ``force.curve``."""
+        """Set a key of the profile, such as ``force.curve``."""
         table, _, name = key.partition(".")
         self._table(table)[name] = value if isinstance(value, str | int | float) else in_rows(value)
 
     def note(self, what: str, found: str) -> None:
-        """Record time, versions and result of a calibration."""
+        """Record the result of a calibration in the profile, with time and software versions."""
         used = [("smarttouch", __version__)]
         used += [(name, version(package)) for name, package in _LIBRARIES.items()]
         entry = tomlkit.table()
@@ -86,7 +86,7 @@ class ProfileFile:
         self._table("calibrated")[what] = entry
 
     def write(self, others: Mapping[Path, bytes] | None = None) -> Profile:
-        """Write the profile and the other files; return the profile as loaded from disk."""
+        """Write the files in ``others`` and the profile; return the profile as loaded from disk."""
         for path in (self.output, *(others or {})):
             self._require_free(path)
         text = tomlkit.dumps(self._document)
@@ -95,7 +95,7 @@ class ProfileFile:
         except ProfileError as error:
             message = str(error).removeprefix(f"{self.output}: ")
             raise CalibrationError(
-                f"what was measured is no valid profile, so nothing was written: {message}",
+                f"the results do not make a valid profile, so nothing was written: {message}",
                 electrode=error.electrode,
             ) from None
         # Write the profile last: the files that it names must exist.
@@ -108,10 +108,11 @@ class ProfileFile:
         if self._update and path == self.output:
             if read_text(path, CalibrationError, MOST_TOML_BYTES) != self._text:
                 raise CalibrationError(
-                    f"{path} was changed meanwhile, so nothing was written: repeat the command"
+                    f"another program changed {path} during the calibration, so nothing was "
+                    "written: repeat the command"
                 )
         elif path.exists() and not self._overwrite:
-            raise CalibrationError(f"{path} exists already: give another file, or add --overwrite")
+            raise CalibrationError(f"{path} already exists: give another file, or add --overwrite")
 
     def _table(self, name: str) -> MutableMapping[str, Any]:
         table = self._document[name]
@@ -122,69 +123,70 @@ class ProfileFile:
 
 def file_to_calibrate(
     part: str,  # name of the calibration
-    # Profile to begin with; an existing output may differ from it only in calibrations.
+    # initial profile; an existing output must not differ from it, except by calibrations
     start: str | None,
-    usual: str,  # profile to begin with if `start` is None
+    fallback: str,  # initial profile if `start` is None
     output: Path,
-    overwrite: bool = False,  # whether the part may be replaced
+    overwrite: bool = False,  # whether to replace an earlier calibration of this name
     *,
-    # whether nothing real is measured; replaces real measurements only with ``overwrite``
+    # whether the results are simulated; they replace measured ones only with ``overwrite``
     simulated: bool = False,
 ) -> ProfileFile:
-    """Return the profile file to which a calibration adds its part.
+    """Return the profile file to which a calibration adds its results.
 
-    An existing output is continued: everything except this part is kept.
+    An existing output is updated. The results of other calibrations in the file are kept.
     """
     if not output.exists():
-        return ProfileFile(start or usual, output, overwrite)
+        return ProfileFile(start or fallback, output, overwrite)
     require_replaceable(output, CalibrationError)
     file = ProfileFile(str(output), output, overwrite, update=True)
     key = None if start is None else difference(file.profile, _begin(profile_path(start))[-1])
     if key is not None:
         raise CalibrationError(
-            f"{output} exists and differs from {start} in {key}: continue with its own profile, "
-            "or give another file to --output"
+            f"{output} exists and differs from {start} in {key}: leave out --profile to continue "
+            "with the file, or give another file to --output"
         )
     if part in file.profile.calibrated and not overwrite:
         raise CalibrationError(
-            f"{output} already has its {part}: --overwrite replaces that and keeps the rest, "
-            "--output writes another file"
+            f"{output} already contains a calibration of {part}: add --overwrite to replace it, "
+            "or give another file to --output"
         )
     notes = file.profile.calibrated
     measured = [name for name in notes if not notes[name].found.startswith("simulated")]
     if simulated and measured and not overwrite:
         raise CalibrationError(
-            f"{output} has its {measured[0]} measured on a real finger or sensor: write a "
-            "simulation to another file, or overwrite it"
+            f"{output} contains a calibration of {measured[0]} with a real finger or sensor: write "
+            "the simulation to another --output, or add --overwrite"
         )
     return file
 
 
 def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, Profile]:
-    """Return a profile as text, as an editable document and as loaded."""
+    """Return a profile file as text, as an editable TOML document and as a profile."""
     table, text = read_toml(path, ProfileError), read_text(path, ProfileError, MOST_TOML_BYTES)
     try:
         document = tomlkit.parse(text)
     except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
-        raise ProfileError(f"{path} cannot be changed: {error}", key="file") from None
+        raise ProfileError(f"{path} cannot be edited ({error}): correct it", key="file") from None
     return text, document, profile_of(table, path)
 
 
 MOST_BROKEN = 0.5
-"""Largest share of open or shorted electrodes; above it the finger is not on the array."""
+"""Largest allowed share of open or shorted electrodes; above it the finger is off the array."""
 MOST_RESTLESS = 0.5
-"""Largest relative spread of the median electrode; above it the finger moved."""
-MOST_LOSSES = 3  # times that the board may be lost during a measurement
+"""Largest allowed relative spread of repeated impedances (median over the electrodes). A larger
+spread means that the finger moved."""
+MOST_LOSSES = 3  # number of times that a measurement reopens a lost board
 
 
 @dataclass(frozen=True, eq=False)
 class ContactFound:
-    """Contact of each electrode."""
+    """Contact of each electrode with the skin."""
 
     kohm: NDArray[np.float64]  # (E,): median impedance; infinite if open
     # (E,): robust standard deviation; NaN after a single measurement, or if open
     spread_kohm: NDArray[np.float64]
-    # (E,): majority of the measurements; ``unsure`` without a majority
+    # (E,): condition in the majority of measurements; ``unsure`` without a majority
     condition: tuple[Condition, ...]
     repeats: int
     current_ma: float
@@ -195,17 +197,17 @@ class ContactFound:
         return [i for i, condition in enumerate(self.condition) if condition in ("open", "short")]
 
     def masked(self, profile: Profile) -> list[int]:
-        """Return the electrodes to mask: broken ones and those already masked."""
+        """Return the electrodes to mask: broken ones and those that the profile masks."""
         return sorted({*profile.output.masked, *self.broken})
 
     def impedances(self, profile: Profile) -> list[float]:
-        """Return an impedance for each electrode, kΩ; open ones get the median of the others."""
+        """Return an impedance for each electrode, kΩ; broken ones get the median of the others."""
         touching = np.isfinite(self.kohm) & ~np.isin(np.arange(len(self.kohm)), self.broken)
         typical_kohm = float(np.median(self.kohm[touching]))
         return [float(f"{kohm:.4g}") for kohm in np.where(touching, self.kohm, typical_kohm)]
 
     def sentence(self) -> str:
-        """Return the sentence for the profile."""
+        """Return the sentence that the profile stores about this result."""
         good = np.array([condition == "good" for condition in self.condition])
         low, middle, high = np.percentile(self.kohm[good], [0, 50, 100])
         counts = [f"{good.sum()} good"]
@@ -223,7 +225,7 @@ class ContactFound:
 def measure_contact(
     opened: Callable[[], AbstractContextManager[Board]], repeats: int
 ) -> list[Impedance]:
-    """Measure repeatedly. A lost board is opened again, at most `MOST_LOSSES` times."""
+    """Measure impedances repeatedly. Reopen a lost board, at most `MOST_LOSSES` times."""
     impedances: list[Impedance] = []
     losses = 0
     while True:
@@ -239,17 +241,17 @@ def measure_contact(
 
 
 def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
-    """Combine repeated measurements."""
+    """Combine repeated measurements; reject them if the finger moved or did not touch."""
     if any(impedance.lifted for impedance in measured):
         raise CalibrationError(
             "no electrode touches anything: put the finger on the array, and measure again"
         )
     kohm = np.array([impedance.kohm for impedance in measured])
     condition = tuple(
-        _most(impedance) for impedance in zip(*(m.condition for m in measured), strict=True)
+        _majority(impedance) for impedance in zip(*(m.condition for m in measured), strict=True)
     )
     count = len(condition)
-    # Infinite readings sort last, so the median stays valid.
+    # Infinite readings (open electrodes) sort last and count as large values in the median.
     middle = np.sort(kohm, axis=0)[(len(kohm) - 1) // 2 : len(kohm) // 2 + 1].mean(axis=0)
     touching = np.isfinite(kohm).all(axis=0)
     spread = np.full(count, np.nan)
@@ -261,20 +263,20 @@ def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
     lost = broken > MOST_BROKEN * count
     if lost or not good:
         raise CalibrationError(
-            f"{broken} of {count} electrodes do not touch or are shorted, and {good} are good: lay "
-            "the finger on all of the array, clean and moisten it, and measure again"
+            f"{broken} of {count} electrodes do not touch or are shorted, and {good} are good: "
+            "clean and moisten the finger, lay it on the whole array, and measure again"
         )
     restless = np.nanmedian(spread[touching] / middle[touching]) if len(kohm) > 1 else 0.0
     if restless > MOST_RESTLESS:
         raise CalibrationError(
-            f"measurements of one electrode differ by {restless:.0%}: hold the finger still, and "
-            "measure again"
+            f"repeated measurements of an electrode differ by {restless:.0%}: hold the finger "
+            "still, and measure again"
         )
     return contact
 
 
-def _most(conditions: Sequence[Condition]) -> Condition:
-    """Return the majority of the measurements, or ``unsure``."""
+def _majority(conditions: Sequence[Condition]) -> Condition:
+    """Return the condition in the majority of measurements, or ``unsure`` without a majority."""
     for condition in conditions:
         if 2 * conditions.count(condition) > len(conditions):
             return condition
@@ -283,10 +285,10 @@ def _most(conditions: Sequence[Condition]) -> Condition:
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 FEWEST_READINGS = 5
-MOST_MISSING = 0.5  # largest share of missing readings
-MOST_RESIDUAL = 0.05  # largest rms residual, relative to full force
-MOST_DRIFT = 0.03  # largest drift under one weight, relative to full force
-LEAST_REACH = 0.5  # lower limit of the heaviest weight, relative to full force
+MOST_MISSING = 0.5  # largest allowed share of readings that are not numbers
+MOST_RESIDUAL = 0.05  # largest allowed rms residual of the line, relative to full force
+MOST_DRIFT = 0.03  # largest allowed drift of the reading under one weight, relative to full force
+LEAST_REACH = 0.5  # smallest allowed force of the heaviest weight, relative to full force
 
 
 class Cell(Protocol):
@@ -297,7 +299,7 @@ class Cell(Protocol):
 
 @dataclass(frozen=True)
 class Weighing:
-    """Readings of one weight on the cell."""
+    """Readings of the load cell under one weight."""
 
     grams: float
     reading: float  # median of the raw readings
@@ -312,7 +314,7 @@ class Weighing:
 
 @dataclass(frozen=True)
 class ForceFound:
-    """Line that converts readings to forces, and its errors."""
+    """Line that converts readings of a load cell to forces, and the errors of the line."""
 
     curve: tuple[float, float]  # intercept, N, and slope, N per count
     full_n: float  # full force, to which percentages refer
@@ -324,18 +326,18 @@ class ForceFound:
 
     @property
     def off_n(self) -> NDArray[np.float64]:
-        """Error of the line at each weighing."""
+        """Error of the line at each weighing, N."""
         return np.array(
             [self.force_n(weighing.reading) - weighing.force_n for weighing in self.weighings]
         )
 
     @property
     def residual_n(self) -> float:
-        """Root of the mean square error."""
+        """Root mean square error of the line, N."""
         return float(np.sqrt(np.mean(self.off_n**2)))
 
     def sentence(self) -> str:
-        """Return the sentence for the profile."""
+        """Return the sentence that the profile stores about this result."""
         grams = [weighing.grams for weighing in self.weighings]
         zero_n, slope_n = self.curve
         return (
@@ -347,8 +349,7 @@ class ForceFound:
 
 
 def weigh_on(url: str, weights: Iterable[float], seconds: float) -> list[Weighing]:
-    """Weigh with the load cell at a URL; take each weight, g, from the iterator once it is on the
-    cell."""
+    """Weigh with the load cell at a URL; ``weights`` yields each weight, g, when it is in place."""
     with open_cell(url) as cell:
         return [weigh(cell, grams, seconds) for grams in weights]
 
@@ -365,13 +366,14 @@ def parse_grams(text: str) -> float:
 
 
 def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
-    """Collect readings under one weight."""
+    """Collect readings of the load cell under one weight."""
     raw = np.asarray(cell.collect(seconds), np.float64)
     good = raw[np.isfinite(raw)]
     if len(good) < FEWEST_READINGS or len(good) < (1 - MOST_MISSING) * len(raw):
         raise CalibrationError(
-            f"{len(good)} of {len(raw)} readings at {grams:g} g are numbers, {FEWEST_READINGS} "
-            "and half of all are needed: check the cell's connections, or read longer (--seconds)"
+            f"{len(good)} of {len(raw)} readings at {grams:g} g are numbers, but at least "
+            f"{FEWEST_READINGS} and half of all readings must be: check the connections of the "
+            "cell, or read longer (--seconds)"
         )
     middle, spread = middle_and_spread(good)
     half = len(good) // 2
@@ -380,13 +382,13 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
 
 
 def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
-    """Fit a line to weighings of at least three weights. Errors are limited relative to full
-    force."""
+    """Fit a line to weighings of at least three weights. Raises CalibrationError if residual or
+    drift is too large relative to full force."""
     grams = np.array([weighing.grams for weighing in weighings])
     reading = np.array([weighing.reading for weighing in weighings])
     _require_weights(grams, law)
     _require_answer(weighings, reading)
-    # Center the readings first: raw counts are large.
+    # Polynomial.fit scales the readings: raw counts are too large for an accurate fit.
     forces = [weighing.force_n for weighing in weighings]
     zero_n, slope_n = np.polynomial.Polynomial.fit(reading, forces, 1).convert().coef
     curve = float(f"{zero_n:.9g}"), float(f"{slope_n:.9g}")
@@ -394,15 +396,15 @@ def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
     if force_fit.residual_n > MOST_RESIDUAL * law.full_n:
         worst = weighings[int(np.abs(force_fit.off_n).argmax())]
         raise CalibrationError(
-            f"the line misses the weights by {force_fit.residual_n:.3f} N rms, above "
-            f"{MOST_RESIDUAL:.0%} of full force, {law.full_n:g} N: weigh {worst.grams:g} g again"
+            f"the line misses the weights by {force_fit.residual_n:.3f} N rms, more than "
+            f"{MOST_RESIDUAL:.0%} of full force ({law.full_n:g} N): weigh {worst.grams:g} g again"
         )
     restless = max(weighings, key=lambda weighing: abs(weighing.drift))
     drift_n = abs(restless.drift * force_fit.curve[1])
     if drift_n > MOST_DRIFT * law.full_n:
         raise CalibrationError(
             f"the reading drifted by {drift_n:.3f} N while {restless.grams:g} g lay on the cell: "
-            "wait until it settles, and weigh again"
+            "wait until the reading settles, and weigh again"
         )
     return force_fit
 
@@ -411,13 +413,13 @@ def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
     distinct = len(np.unique(grams))
     if distinct < 3:
         raise CalibrationError(
-            f"{distinct} different weights do not determine the residual: give three or more"
+            f"{distinct} different weights are too few to check the line: give three or more"
         )
     full_g = 1000 * law.full_n / STANDARD_GRAVITY
     if grams.max() < LEAST_REACH * full_g:
         raise CalibrationError(
-            f"the heaviest weight of {grams.max():g} g is far below full force, {full_g:.0f} g: "
-            "give one about as heavy as that"
+            f"the heaviest weight, {grams.max():g} g, is far below full force, {full_g:.0f} g: "
+            f"add a weight of about {full_g:.0f} g"
         )
 
 
@@ -426,6 +428,6 @@ def _require_answer(weighings: Sequence[Weighing], reading: NDArray[np.float64])
     moved = float(np.ptp(reading))
     if moved <= 5 * noise or moved == 0:
         raise CalibrationError(
-            f"the readings move by {moved:.6g} from the lightest to the heaviest weight, and by "
-            f"{noise:.6g} by themselves: is the cell connected, and the weight on it?"
+            f"the readings of all weights differ by {moved:.6g}, not much more than their noise "
+            f"of {noise:.6g}: check that the cell is connected and the weights lie on it"
         )

@@ -23,12 +23,12 @@ from smarttouch.sources.source_contract import Source
 
 Images = list[NDArray[np.uint8]]
 
-SILENCE_S = 5.0  # longest wait for a new image
-_LOOK_S = 0.002
+IMAGE_TIMEOUT_S = 5.0  # longest wait for a new image
+_POLL_S = 0.002
 
 
 def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Images:
-    """Collect images from the source at a URL, with the profile's flat field or without."""
+    """Collect images from the source at a URL. ``corrected`` applies the profile's flat field."""
     # Files need not be read at their frame rate.
     from_file = url.startswith(("frames:", "video:")) and "unpaced" not in url
     seen_by = profile if corrected else uncorrected(profile)
@@ -37,7 +37,7 @@ def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Ima
 
 
 def collect_images(source: Source, count: int) -> Images:
-    """Collect distinct images of a source; fewer if it ends early."""
+    """Collect ``count`` distinct images of a source, or fewer if the source ends early."""
     images: Images = []
     seen: set[int] = set()
     start = time.perf_counter_ns()
@@ -50,15 +50,15 @@ def collect_images(source: Source, count: int) -> Images:
             seen.add(frame.number)
             images.append(frame.image.copy())
             last = time.monotonic()
-        elif time.monotonic() - last > SILENCE_S:
+        elif time.monotonic() - last > IMAGE_TIMEOUT_S:
             raise CalibrationError(
-                f"{source.title} gave {len(images)} of {count} frames, and none for "
-                f"{SILENCE_S:g} s: check the source"
+                f"{source.title} sent {len(images)} of {count} frames, then none for "
+                f"{IMAGE_TIMEOUT_S:g} s: check the connection of the sensor"
             )
         else:
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)
     if not images:
-        raise CalibrationError(f"{source.title} gave no frames: check the source")
+        raise CalibrationError(f"{source.title} sent no frames: check the source")
     return images
 
 
@@ -71,12 +71,12 @@ def uncorrected(profile: Profile) -> Profile:
 _Stack = Sequence[NDArray[np.uint8]]
 
 MOST_UNEVEN = 0.05
-"""Largest unevenness after correction; above it, the paper has print on it or has moved."""
+"""Largest allowed unevenness after correction. Above it the paper is printed or has moved."""
 
 
 @dataclass(frozen=True, eq=False)
 class OpticsFound:
-    """Flat field, and the unevenness of blank paper before and after correction."""
+    """Flat field of a sensor, and the unevenness of blank paper before and after correction."""
 
     field: FlatField
     # uneven_before, uneven_after: standard deviation of blank paper over its mean. With two or more
@@ -101,13 +101,13 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
     if after > MOST_UNEVEN:
         raise CalibrationError(
             f"blank paper is still uneven by {after:.1%} after correction, above "
-            f"{MOST_UNEVEN:.0%}: use blank paper, hold it still, and take more with --frames"
+            f"{MOST_UNEVEN:.0%}: use blank paper, hold it still, and take more images with --frames"
         )
     return OpticsFound(field, before, after)
 
 
 def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
-    """Return the unevenness of held-out frames after a correction made from every second frame."""
+    """Return the unevenness of every second frame, corrected by a field of the other frames."""
     if min(len(dark), len(white)) > 1:
         field = FlatField.measure(dark[::2], white[::2])
         white = white[1::2]
@@ -123,17 +123,17 @@ def _uneven(levels: NDArray[np.float64], field: FlatField) -> float:
 Matrix = NDArray[np.floating[Any]]
 Gray = NDArray[np.integer[Any] | np.floating[Any]]
 
-MARKERS = 3  # in a row of the target
-MODULES = 7 * MARKERS - 1  # across the target: 6 for each marker, and one between markers
+MARKERS = 3  # number of markers in each row and column of the target
+MODULES = 7 * MARKERS - 1  # squares across the target: 6 for each marker, 1 between two markers
 FIELD_SHARE = 1.5  # target side divided by field side, so that centering need not be exact
 FEWEST_PIXELS = 24  # fewest pixels on a side for which markers are recognized
-LEAST_CORRELATION = 0.8  # smallest correlation of image and target; above 0.9 if it lies flat
-MOST_OUTSIDE = 0.25  # largest share of electrodes outside the image
-DOTS_PER_MM = 50  # resolution of the print
+LEAST_CORRELATION = 0.8  # smallest allowed correlation of image and target; a flat one exceeds 0.9
+MOST_OUTSIDE = 0.25  # largest allowed share of electrodes outside the image
+DOTS_PER_MM = 50  # resolution of the printed target
 _SIZES_MM = (1.0, 200.0)
 _MARGIN_MM = 8.0
 _WORKING_SIDE = 240  # shorter side of the image in which markers are detected, pixels
-_MODULE_PX, _QUIET = 12, 2  # pixels of a module in `picture`; modules of white margin
+_MODULE_PX, _QUIET = 12, 2  # width of a module in `picture`, pixels; white margin, modules
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class PageTarget:
         return np.array([[scale, 0, scale / 2 - middle], [0, scale, scale / 2 - middle], [0, 0, 1]])
 
     def draw(self, path: Path) -> None:
-        """Write the target as a PNG file that states its resolution."""
+        """Write the target as a PNG file with its resolution, for printing at true size."""
         margin, side = round(_MARGIN_MM * DOTS_PER_MM), round(self.side_mm * DOTS_PER_MM)
         image = Image.new("L", (side + 2 * margin,) * 2, 255)
         image.paste(Image.fromarray(_board().generateImage((side, side))), (margin, margin))
@@ -169,14 +169,14 @@ class PageTarget:
 
 
 def target_for(profile: Profile) -> PageTarget:
-    """Return a target that is larger than the sensor's field."""
+    """Return a target that is larger than the sensor's field of view."""
     optics = profile.optics
     if min(optics.sensor_columns, optics.sensor_rows) < FEWEST_PIXELS:
         raise CalibrationError(
-            f"{optics.sensor_columns} × {optics.sensor_rows} pixels are too coarse for a "
-            f"target: {FEWEST_PIXELS} a side are needed; set optics.rotation_deg, offset_x_mm "
-            "and offset_y_mm by hand, or optics.sensor_columns and sensor_rows if the sensor is "
-            "finer than that"
+            f"the profile's sensor of {optics.sensor_columns} × {optics.sensor_rows} pixels is too "
+            f"coarse for a target, which needs {FEWEST_PIXELS} a side: correct "
+            "optics.sensor_columns and optics.sensor_rows if the sensor is finer, or set "
+            "optics.rotation_deg, optics.offset_x_mm and optics.offset_y_mm by hand"
         )
     size_mm = FIELD_SHARE * min(optics.field_width_mm, optics.field_height_mm)
     require_within(CalibrationError, "size_mm", size_mm, *_SIZES_MM)
@@ -191,7 +191,7 @@ def _board() -> Any:
 
 @cache
 def picture() -> NDArray[np.uint8]:
-    """Return the target's gray levels, with a white margin."""
+    """Return the gray levels of the target, with a white margin."""
     printed = _board().generateImage((MODULES * _MODULE_PX,) * 2)
     around = (_QUIET * _MODULE_PX,) * 4
     bordered = cv2.copyMakeBorder(printed, *around, cv2.BORDER_CONSTANT, value=255)
@@ -206,12 +206,12 @@ def apply(homography: Matrix, points: Matrix) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class RegistrationFound:
-    """Registration of a sensor with its array, and the quality of the fit."""
+    """Registration of a sensor with the electrode array, and the quality of the fit."""
 
-    # (3, 3): from millimeters on the page, from the middle of the array, to pixels
+    # (3, 3): maps millimeters on the page, relative to the middle of the array, to pixels
     homography: NDArray[np.float64]
     shape: tuple[int, int]  # rows and columns of the image
-    electrode_pixel: NDArray[np.float64]  # (E, 2): column and row under each electrode
+    electrode_pixel: NDArray[np.float64]  # (E, 2): column and row of the image under each electrode
     markers: int  # number of markers recognized
     correlation: float  # correlation of image and target; 1 if they are equal
 
@@ -228,12 +228,12 @@ class RegistrationFound:
         return (
             f"{self.markers} markers in {self.shape[1]} × {self.shape[0]} pixels, correlation "
             f"{self.correlation:.3f}"
-            + (f"; {len(self.outside)} electrodes look beyond the image" * bool(len(self.outside)))
+            + (f"; {len(self.outside)} electrodes lie outside the image" * bool(len(self.outside)))
         )
 
 
 def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> RegistrationFound:
-    """Fit the map between page and pixels to an image of the target, (H, W)."""
+    """Determine the map from page to pixels from an image of the printed target, (H, W)."""
     rows, columns = image.shape
     scale = _WORKING_SIDE / min(rows, columns)
     size = round(columns * scale), round(rows * scale)
@@ -247,13 +247,13 @@ def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> 
         markers = _markers(working)
     if markers is None:
         raise CalibrationError(
-            "no marker of the target is recognized: lay it under the sensor, light it, and bring "
-            "it into focus"
+            "no marker of the target is recognized: lay the target under the sensor, light it, and "
+            "bring it into focus"
         )
     to_working, correlation = _aligned(working, *markers)
     if not correlation >= LEAST_CORRELATION:
         raise CalibrationError(
-            f"the image agrees with the target to {correlation:.2f}, below "
+            f"the image correlates with the target by {correlation:.2f}, less than "
             f"{LEAST_CORRELATION:g}: lay the target flat, bring more of it into view, and check "
             "the lens"
         )
@@ -271,10 +271,9 @@ def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> 
 
 
 def _markers(working: Gray) -> tuple[Matrix, Matrix] | None:
-    """Return the corners of detected markers, (N, 2), in modules of the target and in pixels; None
-    without markers."""
+    """Return the corners of detected markers, (N, 2), in modules and in pixels, or None."""
     parameters = cv2.aruco.DetectorParameters()
-    # A module is up to 15 pixels wide in an enlarged image.
+    # The default is too small for modules of up to 15 pixels in an enlarged image.
     parameters.adaptiveThreshWinSizeMax = 53
     detector = cv2.aruco.ArucoDetector(_board().getDictionary(), parameters)
     corners, ids, _ = detector.detectMarkers(working)
@@ -287,10 +286,10 @@ def _markers(working: Gray) -> tuple[Matrix, Matrix] | None:
 
 
 def _aligned(working: Gray, modules: Matrix, pixels: Matrix) -> tuple[Matrix, float]:
-    """Return the homography from pixels of `picture` to pixels of an image, and their correlation.
+    """Return the homography from pixels of `picture` to pixels of an image, and the correlation.
 
-    Blur moves the corners of markers, so they only start the fit. It then maximizes the enhanced
-    correlation coefficient of the whole picture (Evangelidis and Psarakis 2008).
+    Blur shifts the corners of markers, so the corners only start the fit, which maximizes the
+    enhanced correlation coefficient of `picture` and image (Evangelidis and Psarakis 2008).
     """
     guess, _ = cv2.findHomography((modules + _QUIET) * _MODULE_PX - 0.5, pixels, 0)
     if guess is None:
@@ -312,6 +311,6 @@ def _require_in_view(registration: RegistrationFound) -> None:
     count = len(registration.electrode_pixel)
     if len(registration.outside) > MOST_OUTSIDE * count:
         raise CalibrationError(
-            f"{len(registration.outside)} of {count} electrodes look beyond the image: move the "
-            "target's middle under the middle of the array, or check optics.magnification"
+            f"{len(registration.outside)} of {count} electrodes lie outside the image: move the "
+            "middle of the target under the middle of the array, or check optics.magnification"
         )

@@ -81,7 +81,7 @@ def test_each_image_once_and_none_that_is_stale():
 def test_a_sensor_that_gives_nothing(monkeypatch):
     with raises(CalibrationError, names="frames", value="no frames"):
         collect_images(Listed(np.empty((0, 2, 2), np.uint8)), 3)
-    monkeypatch.setattr("smarttouch.experiments.sensor_optics.SILENCE_S", 0.05)
+    monkeypatch.setattr("smarttouch.experiments.sensor_optics.IMAGE_TIMEOUT_S", 0.05)
     with raises(CalibrationError, names="frames", value=2, allowed=3):
         collect_images(Listed(images(2), end=False), 3)
 
@@ -196,7 +196,7 @@ def test_no_target_is_one_sentence(profile, image):
 
 
 @pytest.mark.parametrize(("view", "words"), [
-    (View(offset_mm=(2.4, 2.4)), "electrodes look beyond the image"), (View(zoom=2.5), "no marker"),
+    (View(offset_mm=(2.4, 2.4)), "electrodes lie outside the image"), (View(zoom=2.5), "no marker"),
 ])  # fmt: skip
 def test_a_target_that_is_not_in_view(profile, view, words):
     target = target_for(profile)
@@ -213,7 +213,7 @@ def test_a_target_that_does_not_fit_the_fit(profile):
     bulge = 1 + 0.22 * (x * x + y * y)
     source = [np.clip(np.rint(a * bulge * 240 + b), 0, c - 1).astype(int)
               for a, b, c in ((y, 239.5, 480), (x, 319.5, 640))]  # fmt: skip
-    with pytest.raises(CalibrationError, match=r"agrees with the target to 0\.[0-7]"):
+    with pytest.raises(CalibrationError, match=r"correlates with the target by 0\.[0-7]"):
         register(image[source[0], source[1]], profile, target)
     optics = profile.optics.model_copy(update={"magnification": 1.0})
     wide = profile.model_copy(update={"optics": optics})
