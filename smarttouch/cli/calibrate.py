@@ -213,7 +213,7 @@ def thresholds(
             procedure.measure(progress, keyboard_listener, typer.echo, command_stop(), force)
         except BoardStoppedError:
             raise procedure.stopped(progress) from None
-    finish(file, "thresholds", procedure.put_down(progress), simulated)
+    finish(file, "thresholds", procedure.set_results(progress), simulated)
     progress.forget()
 
 

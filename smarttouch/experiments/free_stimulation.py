@@ -1,4 +1,4 @@
-"""Free stimulation: the subject sets amplitude, rate, class and site by hand (paper, III-A)."""
+"""Free stimulation: the subject sets amplitude, rate, class and site by keys (paper, III-A)."""
 
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -15,17 +15,17 @@ from smarttouch.profile.profile import require_driven
 from smarttouch.running.step import Listener, StepResult
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
 
-SLOWEST_HZ, STEP_HZ = 10.0, 5.0  # lowest pulse rate (paper, III-B.1), and its step
+SLOWEST_HZ, STEP_HZ = 10.0, 5.0  # lowest pulse rate (paper, III-B.1); change per key
 
 
 def raise_to_device_limits(profile: Profile) -> Profile:
-    """Return a copy of the profile whose full current is the device's limit (paper: 2.0 mA)."""
+    """Return a copy of a profile with comfort levels at the device's limits (paper: 2.0 mA)."""
     return measuring_profile(profile, spare_ma=len(profile.electrodes) / 2000)
 
 
 class FreeSource(StimulusSource, Listener):
-    """Endless pulse train at one site, adjusted by keys. A new class or site starts at zero
-    intensity."""
+    """Endless pulse train at one site. Keys change its rate, class and site; after a change of
+    class or site the intensity rises from zero."""
 
     keys_help = "← → rate    [ ] site    1 to 9 mark    "
     knows_force = True

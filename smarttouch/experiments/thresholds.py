@@ -27,31 +27,31 @@ from smarttouch.running.step import Listener, StepResult
 from smarttouch.stimulation.safety_limits import LONGEST_RAMP_S
 
 RISE_S = 6.0  # rise time of the first run from zero to the expected threshold
-REACTION_S = 0.35  # reaction time: the threshold is the level this long before the key
+REACTION_S = 0.35  # reaction time: the threshold is the current at this time before the key
 PAUSE_S = (1.0, 2.0)
-"""Random pause at zero before a run, s: time must not reveal the level."""
-START_SHARE = (0.4, 0.7)  # later runs start slowly from this random share of the last threshold
-LEAP = 10  # factor by which the current rises faster below that start
-CEILING_S = 1.0  # time at the ceiling after which a run ends
+"""Range of the random pause at zero before a run, s: time must not reveal the current."""
+START_SHARE = (0.4, 0.7)  # later runs rise fast to a random share of the lowest threshold so far
+LEAP = 10  # factor by which the current rises faster below `START_SHARE`
+CEILING_S = 1.0  # time at the largest current after which a run ends
 MOST_APART = 1.4  # ratio of largest to smallest threshold above which more runs follow
 EXTRA_RUNS = 2
 HURRIED_S = 0.8
-"""Time after the first key within which a second one is hurried: a held key, or pain."""
-MOST_HURRIED = 2  # number of hurried runs that are repeated
-LEAST_ROOM = 1.05  # smallest usable ratio of comfort level to threshold
+"""A second key within this time, s, after the first is a held key or pain: the run is hurried."""
+MOST_HURRIED = 2  # largest number of hurried runs that are repeated
+LEAST_RATIO = 1.05  # smallest usable ratio of comfort level to threshold
 STOP_KEYS = ("q", "Q", "\x1b", "\x03", "\x04", "")
 """Keys that end the measurement at once; the empty key means that the terminal is gone."""
-_SLOWER = 0.98  # slope of the current, relative to the largest slope allowed
+_SLOWER = 0.98  # largest slope of the current, relative to the ramp of the profile
 _REACTION, _HURRIED, _CEILING = (
     round(each / STEP_S) for each in (REACTION_S, HURRIED_S, CEILING_S)
 )
 
 
 def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
-    """Return a copy of a profile whose full currents reach the device's limits.
+    """Return a copy of a profile whose comfort levels are as high as the device's limits allow.
 
-    All limits of current, charge, pulse, rate and duty stay, and so does the ramp in mA/s.
-    ``spare_ma`` is kept free below the limits of charge and of sums, for rounding.
+    The limits of current, charge, pulse, rate and duty and the ramp in mA/s do not change.
+    ``spare_ma`` is a margin for rounding below the limits of charge and total current.
     """
     full_ma, limits = float(profile.full_ma.max()), profile.limits
     by_charge_ma = 1000 * limits.charge_uc / profile.pulse.width_us
@@ -76,15 +76,15 @@ def _whole_ua(current_ma: float) -> float:
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Thresholds of one electrode."""
+    """Detection threshold and comfort level of one electrode."""
 
-    # threshold_ma, comfort_ma: medians of the runs. NaN if nothing was felt up to the ceiling;
-    # comfort_ma is the ceiling if that was not too strong.
+    # threshold_ma, comfort_ma: medians of the runs. NaN if nothing was felt up to the largest
+    # current. Runs that never became too strong count with the largest current as comfort level.
     threshold_ma: float
     comfort_ma: float
     spread: float  # robust standard deviation of the runs' thresholds over their median
     runs: int
-    false_presses: int  # keys pressed without current
+    false_presses: int  # number of keys pressed before current could be felt
 
     @property
     def felt(self) -> bool:
@@ -92,24 +92,22 @@ class Thresholds:
 
     @property
     def usable(self) -> bool:
-        """True if the comfort level is far enough above the threshold."""
-        return self.felt and self.comfort_ma >= LEAST_ROOM * self.threshold_ma
+        """Whether the comfort level is far enough above the threshold."""
+        return self.felt and self.comfort_ma >= LEAST_RATIO * self.threshold_ma
 
     def __str__(self) -> str:
         if not self.felt:
-            return "not felt up to the ceiling"
-        room = "" if self.usable else " (too close together: not used)"
-        return (
-            f"threshold {self.threshold_ma:.2f} mA, comfortable to {self.comfort_ma:.2f} mA{room}"
-        )
+            return "not felt up to the largest current"
+        note = "" if self.usable else " (too close together: not used)"
+        return f"threshold {self.threshold_ma:.2f} mA, comfort level {self.comfort_ma:.2f} mA{note}"
 
 
 @dataclass
 class AscendingLimits:
-    """Method of ascending limits at one electrode. In each run the first key means *felt*, the
-    second *strong enough*."""
+    """Method of ascending limits at one electrode. In each run of rising current the first key
+    means *felt*, the second *strong enough*."""
 
-    ceiling_ma: float  # largest current
+    ceiling_ma: float  # largest current of a run
     expected_ma: float  # expected threshold; sets the slope of the current
     repeats: int = 3  # number of runs, if their thresholds agree
     fastest_ma_s: float = float("inf")  # largest slope
@@ -148,7 +146,7 @@ class AscendingLimits:
         return not apart or len(thresholds_ma) >= self.repeats + EXTRA_RUNS
 
     def _rise(self) -> Generator[float, bool | None, tuple[float, float] | None]:
-        """Yield the currents of one run from zero; return None if the run must be repeated."""
+        """Yield the currents of a run; return threshold and comfort level, or None to repeat it."""
         pause, levels, threshold_ma, felt_at = self._draw_pause(), [0.0], math.nan, 0
         share = self._random.uniform(*START_SHARE) if self._runs else 0.0
         start_ma = share * min((run_ma for run_ma, _ in self._runs), default=0.0)
@@ -166,7 +164,7 @@ class AscendingLimits:
             if pressed is None:
                 return None
             if pressed and (steps <= _REACTION or self._is_hurried(steps, felt_at)):
-                # A key faster than any reaction answers something else.
+                # A key that comes faster than any reaction is not a response to this current.
                 self._false_presses += steps <= _REACTION
                 return None
             if pressed and felt_at:
@@ -174,11 +172,11 @@ class AscendingLimits:
             if pressed:
                 threshold_ma, felt_at = levels[-1 - _REACTION], steps
             elif steps > _CEILING and levels[-1 - _CEILING] >= self.ceiling_ma:
-                # Levels never fall within a run, so this one reached the ceiling.
+                # Levels never fall, so the current has been at the ceiling for `CEILING_S`.
                 return threshold_ma, self.ceiling_ma if felt_at else math.nan
 
     def _is_hurried(self, steps: int, felt_at: int) -> bool:
-        """Return whether a second key came too soon, and count it."""
+        """Return whether a second key came too soon after the first; count such keys."""
         hurried = felt_at > 0 and steps - felt_at < _HURRIED and self._hurried < MOST_HURRIED
         self._hurried += hurried
         return hurried
@@ -199,8 +197,8 @@ _RESULTS = tuple(each.name for each in fields(Thresholds))
 class Progress(AnswerFile):
     """File with the results of an interrupted threshold session, next to the profile to be written.
 
-    Each result is on disk before `keep` returns. The file is used only if its ``about`` is the
-    same, and is locked against other sessions. An empty file is removed when it is closed.
+    Each result is on disk before `keep` returns. A file with other settings, ``about``, is refused.
+    An open file is locked against other sessions. Closing removes a file without results.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Value]) -> None:
@@ -214,7 +212,7 @@ class Progress(AnswerFile):
             if not (math.isnan(threshold_ma) or 0 < threshold_ma <= comfort_ma):
                 super().close()
                 raise CalibrationError(
-                    f"{path} has a threshold of {threshold_ma:g} mA and a comfort of "
+                    f"{path} has a threshold of {threshold_ma:g} mA with a comfort level of "
                     f"{comfort_ma:g} mA: correct the line, or remove the file to start over"
                 )
             self.found[int(row["electrode"] or 0)] = Thresholds(
@@ -222,7 +220,7 @@ class Progress(AnswerFile):
             )
 
     def close(self) -> None:
-        """Close the file; remove it if it is empty."""
+        """Close the file; remove it if it contains no results."""
         if not self.found:
             self.forget()
         super().close()
@@ -236,21 +234,21 @@ class Progress(AnswerFile):
         self.found[site] = found
 
     def forget(self) -> None:
-        """Remove the file when the profile contains the results."""
+        """Remove the file. Call this when the profile contains the results."""
         self.path.unlink(missing_ok=True)
 
 
 def threshold_trials(
     profile: Profile,  # profile to measure with
-    board: Board,  # its largest current is a limit, too, known once the board is open
+    board: Board,  # must be open before the first trial; its largest current is a limit, too
     sites: Sequence[int],
-    progress: Progress,  # stores each result; electrodes that it contains are left out
+    progress: Progress,  # stores each result; electrodes with a stored result are skipped
     say: Callable[[str], None],  # shows a line of text
     *,
-    repeats: int = 3,  # runs of the rising current
+    repeats: int = 3,  # runs of rising current for each electrode
     seed: int = 0,  # seed of all random choices
 ) -> Trials:
-    """Measure one electrode after the other; repeat a measurement once if it is implausible."""
+    """Measure one electrode after another. Repeat an electrode once if its results are unusable."""
     measuring = measuring_profile(profile)
     # A train needs two pulses.
     setup = Setup(measuring, Afferent.RA, train_s=max(0.8, 2 / measuring.pulse.rate_hz))
@@ -267,7 +265,7 @@ def threshold_trials(
             answer = yield Trial(
                 Condition(0.0, math.nan, index=site), (setup.train([site], setup.pulse_hz),),
                 "felt",
-                f"electrode {site}: press a key when you feel it, and when it is strong enough",
+                f"electrode {site}: press a key when you feel it, again when it is strong enough",
                 "mA", exact=True, course=rising.course(),
             )  # fmt: skip
             thresholds: Thresholds = answer.found
@@ -279,8 +277,8 @@ def threshold_trials(
 
 Found = Mapping[int, Thresholds]
 Keys = Callable[[Callable[[str], None]], AbstractContextManager[None]]
-"""Context manager that passes each key to a function; an empty key means that the terminal is
-gone."""
+"""Function that returns a context manager in which each pressed key is passed to the argument. An
+empty key means that the terminal is gone."""
 
 
 def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
@@ -291,8 +289,8 @@ def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
     usable = {site: site_result for site, site_result in found.items() if site_result.usable}
     if not usable:
         raise CalibrationError(
-            "no electrode was felt and then strong enough: check contact with "
-            "'smarttouch calibrate contact', and explain the task"
+            "no electrode has a usable threshold and comfort level: check contact with 'smarttouch "
+            "calibrate contact', and explain the task to the participant"
         )
     threshold, comfort = profile.threshold_ma.astype(float), profile.full_ma.astype(float)
     for site, site_result in usable.items():
@@ -312,20 +310,20 @@ def sentence(found: Found) -> str:
     spread = float(np.median([site_result.spread for site_result in usable]))
     unusable = sorted(site for site, site_result in found.items() if not site_result.usable)
     return (
-        f"{len(usable)} electrodes by rising current, threshold {np.median(threshold):.2f} mA "
+        f"{len(usable)} electrodes by rising current: threshold {np.median(threshold):.2f} mA "
         f"({threshold.min():.2f} to {threshold.max():.2f}), comfortable up to "
         f"{np.median(comfort):.2f} mA ({comfort.min():.2f} to {comfort.max():.2f}), spread of a "
         f"threshold {spread:.1%}, {sum(site_result.runs for site_result in found.values())} runs, "
         f"{sum(site_result.false_presses for site_result in found.values())} false presses"
-        + (f"; not usable, kept as they were: {unusable}" if unusable else "")
+        + (f"; not usable, so unchanged: {unusable}" if unusable else "")
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdProcedure:
-    """Measurement of thresholds: board, electrodes and method."""
+    """Threshold measurement on a board: electrodes, method and files."""
 
-    start: str  # profile with which the file began
+    start: str  # name or file of the initial profile
     file: ProfileFile  # profile file for the results
     board_url: str
     sites: Sequence[int]
@@ -334,7 +332,7 @@ class ThresholdProcedure:
     seed: int = 0
 
     def progress(self) -> Progress:
-        """Open the results of an earlier session with the same settings."""
+        """Open the file of results, which may hold those of an interrupted session."""
         profile = self.file.profile
         return Progress(
             self.file.beside("thresholds.csv"),
@@ -353,7 +351,7 @@ class ThresholdProcedure:
         stop: StopRequest,
         force: str | None = None,  # URL of the force sensor, see `Runner`
     ) -> None:
-        """Measure all electrodes. Any key answers; `STOP_KEYS` end the measurement."""
+        """Measure all electrodes. `STOP_KEYS` end the measurement; any other key is an answer."""
         profile, measuring = self.file.profile, measuring_profile(self.file.profile)
         display = Display(self.board_url, measuring)
         trials = threshold_trials(
@@ -368,8 +366,8 @@ class ThresholdProcedure:
                 source.press(key)
 
         say(
-            f"Current rises to {measuring.full_ma.max():.2f} mA at most. Press a key when you feel "
-            "it, and again when it is strong enough; q or Esc stops at once."
+            f"The current rises to at most {measuring.full_ma.max():.2f} mA. Press a key when you "
+            "feel it, and again when it is strong enough; q or Esc stops at once."
         )
         config = RunConfig(scan="points", intensity=1.0, seed=self.seed)
         with keys(on_key):
@@ -384,12 +382,12 @@ class ThresholdProcedure:
         """Return the error to raise after a stop."""
         left = len(set(self.sites) - set(progress.found))
         return CalibrationError(
-            f"stopped, all electrodes are off: {left} of {len(self.sites)} electrodes remain: "
-            "repeat the command to continue"
+            f"stopped, all electrodes are off; {left} of {len(self.sites)} electrodes are not yet "
+            "measured: repeat the command to continue"
         )
 
-    def put_down(self, progress: Progress) -> str:
-        """Set the results in the profile, without writing it; return a summary sentence."""
+    def set_results(self, progress: Progress) -> str:
+        """Set the results in the profile, without writing the file; return a summary sentence."""
         threshold_ma, comfort_ma = filled(self.file.profile, progress.found)
         self.file.set("perception.threshold_ma", threshold_ma)
         self.file.set("perception.comfort_ma", comfort_ma)
@@ -397,7 +395,7 @@ class ThresholdProcedure:
 
 
 class _Prompts(Listener):
-    """Shows questions, missing preconditions and messages of the board."""
+    """Listener that shows questions, missing preconditions and messages of the board."""
 
     def __init__(self, source: TrialSource, say: Callable[[str], None]) -> None:
         super().__init__()
