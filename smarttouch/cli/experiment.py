@@ -215,7 +215,7 @@ def fit(
     """
     from smarttouch.base.files import write_json
     from smarttouch.experiments.answers import read_table, usual_model
-    from smarttouch.experiments.findings import as_figures, discrimination_figure, judge_answers
+    from smarttouch.experiments.findings import as_json, discrimination_figure, judge_answers
     from smarttouch.views import figure_style
 
     if plot is not None:
@@ -229,7 +229,7 @@ def fit(
         fitted.append((table, [judge_answers(each, model) for each in table.answers]))
     _print(fitted)
     if json_file is not None:
-        write_json(json_file, {table.name: as_figures(findings) for table, findings in fitted})
+        write_json(json_file, {table.name: as_json(findings) for table, findings in fitted})
     if plot is not None:
         figure_style.save(discrimination_figure(fitted), plot)
 

@@ -1,5 +1,4 @@
-"""Threshold for the answers to one standard, or the reason why there is none; tables and
-figures."""
+"""Thresholds from answers for each standard, or reasons why there are none; tables and figures."""
 
 import math
 from collections.abc import Sequence
@@ -18,18 +17,18 @@ if TYPE_CHECKING:
 
 FEWEST_ANSWERS = 15
 MOST_UNANSWERED = 0.5
-"""Largest share of unanswered trials; above it the answered ones may be biased."""
+"""Largest allowed share of unanswered trials. Above it the answers may be biased."""
 SAME_INTERVAL = 0.95
-"""Largest share of answers for one interval; above it answers do not depend on the stimulus."""
+"""Largest allowed share of answers for one interval. Above it answers ignore the stimulus."""
 FLAT = 0.02  # significance level of the test for a dependence on the comparison
-_FALLING = -2.58  # trend, in standard deviations, below which answers fall; by chance 1 in 200
+_FALLING = -2.58  # z score of a falling trend; by chance it is lower in 1 of 200 sessions
 _CURVE_POINTS = 301
 _BOUNDED = ("threshold", "weber", "middle", "lower", "lower_weber")
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """Result for one standard."""
+    """Result of the fit for one standard."""
 
     answers: Answers
     model: Model
@@ -42,11 +41,11 @@ class Finding:
         return self.answers.standard
 
     @property
-    def said(self) -> str:
-        """Name of a success: *judged higher*, *felt* or *right*."""
+    def success_name(self) -> str:
+        """Name of a success: *judged higher*, *judged more*, *felt* or *correct*."""
         if self.model.guess == "equal":
             return "judged higher" if self.standard else "judged more"
-        return "felt" if self.model.guess in ("free", 0) else "right"
+        return "felt" if self.model.guess in ("free", 0) else "correct"
 
     @cached_property
     def counts(self) -> Counts:
@@ -78,7 +77,7 @@ class Finding:
     def lower(self) -> Bounded | None:
         """Lower threshold, at which F is 1 minus its value at the upper threshold.
 
-        None if it lies below all comparisons, or if the asymptotes are not equal.
+        None if this threshold is below all comparisons, or if the asymptotes are not equal.
         """
         if self.model.guess != "equal":
             return None
@@ -87,12 +86,12 @@ class Finding:
 
     @property
     def weber(self) -> Bounded | None:
-        """Distance of the upper threshold from the standard, relative to it (Fig. 16, bottom)."""
+        """Weber fraction: upper threshold over standard, minus 1 (paper, Fig. 16, bottom)."""
         return self._relative(self.threshold)
 
     @property
     def lower_weber(self) -> Bounded | None:
-        """Distance of the lower threshold from the standard, relative to it; negative."""
+        """Weber fraction of the lower threshold: its ratio to the standard, minus 1; negative."""
         return self._relative(self.lower)
 
     def _at(self, part: float) -> Bounded | None:
@@ -106,7 +105,7 @@ class Finding:
 
 
 def judge_answers(answers: Answers, model: Model) -> Finding:
-    """Fit the answers to one standard, or state why they determine no threshold."""
+    """Fit the answers for one standard, or state why they do not determine a threshold."""
 
     def none(why: str, found: Fit | None = None) -> Finding:
         return Finding(answers, model, found, why)
@@ -116,30 +115,30 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
     counts = answers.counts()
     low, high = float(counts.stimulus[0]), float(counts.stimulus[-1])
     total, successes = int(counts.n.sum()), int(counts.k.sum())
-    sentences = Finding(answers, model, None).said
+    success = Finding(answers, model, None).success_name
     if successes == total:
-        return none(f"always {sentences}, {total} times: a threshold lies below {low:.4g}")
+        return none(f"always {success}, {total} times: a threshold lies below {low:.4g}")
     if successes == 0:
-        return none(f"never {sentences} in {total} answers: a threshold lies above {high:.4g}")
+        return none(f"never {success} in {total} answers: a threshold lies above {high:.4g}")
     share = successes / total
     if len(counts.stimulus) == 1:
-        return none(f"{sentences} {share:.0%} of {total} times, but all were at {low:.4g}")
+        return none(f"{success} in {share:.0%} of {total} answers, but all were at {low:.4g}")
     found = fit(counts, model, answers.standard)
     if _chance_of_flat(found, _guessing(answers, model)) > FLAT:
         if _trend(counts) < _FALLING:
             return none(
-                f"{sentences} less often the higher the comparison: the keys, or comparison "
-                "and standard, are mixed up"
+                f"{success} less often at higher comparisons: check whether the keys, or "
+                "comparison and standard, are mixed up"
             )
         return none(
-            f"answers do not depend on the comparison: {sentences} {share:.0%} of {total} "
-            f"times, without a clear rise from {low:.4g} to {high:.4g}; more trials may show one"
+            f"answers do not depend on the comparison: {success} in {share:.0%} of {total} "
+            f"answers, without a clear rise from {low:.4g} to {high:.4g}: run more trials"
         )
     threshold = found.bounded(model.level).value
     low, high = (float(bound) for bound in model.stimulus(found.ends))
     if not low <= threshold <= high:
         end = f"above {high:.4g}" if threshold > high else f"below {low:.4g}"
-        why = f"{model.share:.0%} is not within the range tested: the threshold lies {end}"
+        why = f"the threshold, at {model.share:.0%}, lies {end}, outside the range that was tested"
         return none(why, found)
     return Finding(answers, model, found)
 
@@ -154,7 +153,7 @@ def _unusable(answers: Answers) -> str | None:
     chosen = answers.chosen()
     if sum(chosen) >= FEWEST_ANSWERS and max(chosen) > SAME_INTERVAL * sum(chosen):
         word = "first" if chosen[0] > chosen[1] else "second"
-        words = f"{max(chosen)} of {sum(chosen)} times, whatever came in it"
+        words = f"{max(chosen)} of {sum(chosen)} times, regardless of the stimulus"
         return f"the {word} interval was chosen {words}"
     return None
 
@@ -162,7 +161,7 @@ def _unusable(answers: Answers) -> str | None:
 def _chance_of_flat(fitted: Fit, share: float) -> float:
     """Return the p value of a likelihood-ratio test of the fit against a constant share.
 
-    The statistic is chi squared with two degrees of freedom, for threshold and spread.
+    The statistic has a chi-squared distribution with two degrees of freedom (threshold and spread).
     """
     n, k = fitted.counts.n, fitted.counts.k
     constant = float(k.sum() * math.log(share) + (n - k).sum() * math.log1p(-share))
@@ -172,8 +171,8 @@ def _chance_of_flat(fitted: Fit, share: float) -> float:
 def _guessing(answers: Answers, model: Model) -> float:
     """Return the share of successes of a participant who guesses.
 
-    It is known if a success is a right answer; else it is the observed share. The known one is the
-    stronger test: adaptive procedures keep the observed share nearly constant.
+    If a success is a correct answer, the share is known. Else use the observed share, although the
+    test is then weaker: adaptive procedures keep the observed share nearly constant.
     """
     if not isinstance(model.guess, str) and model.guess > 0:
         return model.guess
@@ -183,15 +182,15 @@ def _guessing(answers: Answers, model: Model) -> float:
 
 
 def _trend(counts: Counts) -> float:
-    """Return the Cochran-Armitage statistic of a rise with the rank of the comparison (1955)."""
+    """Return the Cochran-Armitage trend statistic (1955) of successes over ranked comparisons."""
     rank = np.arange(len(counts.n)) * 1.0
     total, share = counts.n.sum(), counts.k.sum() / counts.n.sum()
     rank -= (counts.n @ rank) / total
     return float(counts.k @ rank / math.sqrt(share * (1 - share) * (counts.n @ rank**2)))
 
 
-def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    """Return the figures of each standard for JSON; an undetermined end is null."""
+def as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    """Return the results for each standard as JSON values; an undetermined end is null."""
     return [
         {
             "standard": finding.answers.standard or None,
@@ -211,7 +210,7 @@ def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
 
 
 def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str]]:
-    """Return a heading, and a row of text for each finding with a threshold."""
+    """Return a heading, and a row of text for each finding. Each finding must have a fit."""
     share = findings[0].model.share if findings else 0.0
     heading = ["n", f"{share:.0%} at", "spread", "lapse"]
     if compares:
@@ -234,7 +233,7 @@ def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str
 
 
 def in_words(bounds: Bounded | None) -> str:
-    """Return a value with its interval as text; an undetermined end is an ellipsis."""
+    """Return a value with its interval as text, with an ellipsis for an undetermined end."""
     if bounds is None:
         return ""
     low, high = (f"{bound:.3g}" if math.isfinite(bound) else "…" for bound in bounds[1:])
@@ -249,14 +248,14 @@ def _ends(bounds: Bounded | None) -> dict[str, float | None] | None:
     }
 
 
-_TICKS = (0.25, 0.33, 0.5, 0.67, 0.8, 1, 1.25, 1.5, 2, 3, 4)  # ticks on the axis
-Series = tuple[AnswerTable, Sequence[Finding]]  # one file
+_TICKS = (0.25, 0.33, 0.5, 0.67, 0.8, 1, 1.25, 1.5, 2, 3, 4)  # comparison / standard
+Series = tuple[AnswerTable, Sequence[Finding]]  # answers of one file, and the findings from them
 
 
 def discrimination_figure(series: Sequence[Series]) -> "Figure":
     """Draw one panel for each series, with a psychometric curve for each standard.
 
-    If all findings have standards, thresholds relative to them are drawn below.
+    If all findings have standards, a panel below shows thresholds relative to standards.
     """
     compares = all(finding.standard for _, findings in series for finding in findings)
     figure = new_figure(max(5.2, 4.6 * len(series)), 5.6 if compares else 3.2)
@@ -276,15 +275,15 @@ def discrimination_figure(series: Sequence[Series]) -> "Figure":
             axes.minorticks_off()
             axes.legend(frameon=False, fontsize=7, title="standard", title_fontsize=7)
         stimulus = "comparison / standard" if compares else f"stimulus{_unit(series)}"
-        plain(axes, table.name, stimulus, f"share {findings[0].said}")
+        plain(axes, table.name, stimulus, f"share {findings[0].success_name}")
     if compares:
         _draw_thresholds(figure.add_subplot(grid[1, :]), series)
     return figure
 
 
 def _draw_shares(axes: Any, finding: Finding, unit: float, color: str, label: str) -> None:
-    """Draw shares as dots sized by the number of answers, the fitted curve, and the interval of the
-    threshold. The abscissa is stimulus / unit."""
+    """Draw shares of successes as dots sized by the number of answers, the fitted curve, and the
+    interval of the threshold. The abscissa is stimulus / unit."""
     stimulus, n, k = finding.counts
     size = 8 + 2 * np.minimum(n, 10)
     axes.scatter(stimulus / unit, k / n, size, color=[color], label=label, lw=0, zorder=3)
@@ -300,7 +299,7 @@ def _draw_shares(axes: Any, finding: Finding, unit: float, color: str, label: st
 
 
 def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
-    """Draw thresholds relative to their standards."""
+    """Draw thresholds relative to their standards, with intervals."""
     axes.axhline(0, color=GREY, lw=0.6)
     for index, (table, findings) in enumerate(series):
         color = SERIES_COLORS[index % 6]
@@ -312,7 +311,7 @@ def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
             ]
             standard, *bounded = np.array(rows).T
             value, low, high = np.array(bounded) / standard - 1
-            # Draw an undetermined end at the farthest comparison.
+            # Draw an undetermined end as far from the value as the value is from 0.
             reach = np.array([value - low, high - value])
             reach = np.where(np.isinf(reach), np.abs(value), reach).tolist()
             axes.errorbar(standard * aside, value, reach, fmt=style, color=color, ms=4, lw=1,

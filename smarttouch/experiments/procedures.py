@@ -1,7 +1,7 @@
-"""Procedures: generators that yield the condition of a trial and receive its answer.
+"""Psychophysical procedures: generators of conditions that receive the answer to each trial.
 
-The answer is True for a success (judged higher, felt or right), False, or None if no answer came.
-Procedures are deterministic: a session is resumed by sending the same answers again.
+An answer is True for a success (judged higher, felt or correct), False for a failure, and None if
+it is missing. Procedures are deterministic, so sending the same answers again resumes a session.
 """
 
 import math
@@ -20,11 +20,11 @@ class Condition:
     """Stimulus of one trial."""
 
     standard: float  # standard; 0 if there is none
-    comparison: float  # NaN if the trial determines it
+    comparison: float  # NaN if the keys of the participant determine it
     # interval with the comparison, 1 or 2; 0 if there is a single interval
     comparison_interval: int = 0
-    # repetition, trial, index: PsychoPy's thisRepN, thisTrialN and thisIndex: number of the
-    # repetition, of the trial in it, and of the condition
+    # numbers of the repetition, of the condition, and of the trial in the repetition (PsychoPy:
+    # thisRepN, thisIndex, thisTrialN)
     repetition: int = 0
     index: int = 0
     trial: int = 0
@@ -60,9 +60,9 @@ STANDARDS_HZ = (15.0, 30.0, 45.0, 60.0, 75.0)
 """Standards of the paper's frequency discrimination (Section III.C)."""
 WIDEST_RATIO = 2.0  # comparisons are 0.5 to 2 times the standard (Section III.C)
 RATIOS = tuple(WIDEST_RATIO ** (step / 9) for step in range(-9, 10, 2))
-"""Ten ratios, evenly spaced on a logarithmic axis and symmetric about 1. The ratio 1 itself is left
-out: neither answer would be right."""
-REPETITIONS = 10  # trials of each pair (Section III.C)
+"""Ten ratios, evenly spaced on a logarithmic axis and symmetric about 1. The ratio 1 is left out,
+because neither answer would be correct."""
+REPETITIONS = 10  # trials of each pair of standard and comparison (Section III.C)
 
 
 def ratio_pairs(
@@ -80,7 +80,7 @@ def ratio_pairs(
     ]
     if not pairs:
         raise ExperimentError(
-            f"all standards or comparisons are above {highest:g}: give lower standards"
+            f"all pairs of standard and comparison exceed {highest:g}: give lower standards"
         )
     return pairs
 
@@ -89,14 +89,14 @@ def constant_stimuli(
     # (standard, comparison); the standard is 0 if there is none
     pairs: Sequence[tuple[float, float]],
     repetitions: int = REPETITIONS,  # trials of each pair
-    two_intervals: bool = True,  # whether the standard is presented, too
-    seed: int = 0,  # of the random orders
+    two_intervals: bool = True,  # whether the standard is presented as well
+    seed: int = 0,  # seed of the random orders
 ) -> Procedure:
     """Present each pair a fixed number of times, in a new random order for each repetition.
 
-    With two intervals the comparison comes first in half of the trials of each pair, so that always
-    answering *the first* is right half the time. A trial without an answer is repeated once, at the
-    end.
+    With two intervals the comparison comes first in half of the trials of each pair, so a
+    participant who always answers *the first* is correct half the time. A trial without an answer
+    is repeated once, at the end.
     """
     if not pairs or repetitions < 1:
         raise ExperimentError(
@@ -104,7 +104,7 @@ def constant_stimuli(
             "least one of each"
         )
     random = np.random.default_rng([seed, len(pairs), repetitions])
-    # If the number is odd, half of the pairs get one more trial with the comparison first.
+    # If `repetitions` is odd, half of the pairs get one more trial with the comparison first.
     balanced = (np.arange(repetitions) + np.arange(len(pairs))[:, None]) % 2 + 1
     interval = random.permuted(balanced, axis=1) * two_intervals
     plan = [
@@ -128,8 +128,7 @@ def constant_stimuli(
 
 
 def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
-    """Yield 1 and 2 in random order, four of each in every eight; always 0 for a single
-    interval."""
+    """Yield the interval of the comparison: 1 or 2 in balanced random order, or always 0."""
     random = np.random.default_rng([seed, 2])
     while True:
         block = [int(interval) for interval in random.permutation([1] * 4 + [2] * 4)][::-1]
@@ -137,10 +136,10 @@ def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
 
 
 _COARSE_FACTOR, _COARSE_REVERSALS = 2.0, 2
-"""Factor by which steps are larger until the second reversal (our own choice)."""
+"""Factor of coarse steps, and the number of reversals that ends them (our own choice)."""
 _REVERSALS = 14  # number of reversals that ends a staircase
 _PINNED_TRIALS = 4
-"""Number of consecutive answers at the end of the range that shows a threshold beyond it."""
+"""Number of answers in a row at one end of the range after which a staircase stops."""
 
 
 def weighted_staircase(
@@ -152,14 +151,14 @@ def weighted_staircase(
     standard: float = 0.0,  # standard; 0 if there is none
     target: float = 0.75,  # share of successes at which the staircase converges
     most_trials: int = 80,
-    two_intervals: bool = True,  # whether the standard is presented, too
-    seed: int = 0,  # of the order of intervals
+    two_intervals: bool = True,  # whether the standard is presented as well
+    seed: int = 0,  # seed of the order of intervals
 ) -> Procedure:
-    """Step down after a success, and up after a failure.
+    """Lower the comparison after a success, and raise it after a failure.
 
     Steps up are target / (1 - target) times as large as steps down, so the staircase converges
     where the share of successes equals the target (Kaernbach, Perception & Psychophysics 49, 1991,
-    Eq. 1). A trial without an answer is repeated, and counts toward the largest number of trials.
+    Eq. 1). A trial without an answer is repeated, and counts toward ``most_trials``.
     """
     intervals = _intervals(two_intervals, seed)
 
@@ -197,15 +196,15 @@ def quest_plus(
     guess: float = 0.5,  # share of successes by guessing
     standard: float = 0.0,  # standard; 0 if there is none
     most_trials: int = 60,
-    two_intervals: bool = True,  # whether the standard is presented, too
-    seed: int = 0,  # of the order of intervals
+    two_intervals: bool = True,  # whether the standard is presented as well
+    seed: int = 0,  # seed of the order of intervals
 ) -> Procedure:
     """Present the stimulus whose answer has the largest expected information, on a grid of
     threshold, slope and lapse rate (QUEST+, Watson, Journal of Vision 17(3):10, 2017).
 
     The expected information is the entropy of the answer minus its expected entropy given the
-    parameters. This equals the expected drop of the posterior's entropy, and needs no posterior for
-    each stimulus. A trial without an answer counts, but does not change the posterior.
+    parameters. It equals the expected decrease of the posterior's entropy, but is computed without
+    a posterior for each stimulus. A trial without an answer counts toward ``most_trials``.
     """
     low, high = math.log(lowest), math.log(highest)
     places = np.linspace(low, high, _STIMULI)
@@ -230,7 +229,7 @@ def quest_plus(
 
 
 def _entropy(likely: Array) -> Array:
-    """Return the entropy of an answer with this probability of success, in nats."""
+    """Return the entropy of an answer, in nats, from the probability of a success."""
     likely = np.clip(likely, 1e-12, 1 - 1e-12)
     return np.asarray(-(likely * np.log(likely) + (1 - likely) * np.log1p(-likely)))
 

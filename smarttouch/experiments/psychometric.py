@@ -1,10 +1,10 @@
-"""Psychometric functions and their fit. ``p = guess + (1 - guess - lapse) F((x - middle) /
-spread)``: F is the cumulative normal, as in the paper, and x a stimulus or its natural logarithm
-(Wichmann and Hill, Perception & Psychophysics 63, 2001, Eq. 1).
+"""Psychometric functions ``p = guess + (1 - guess - lapse) F((x - middle) / spread)``; their fit.
+p is the probability of a success, F the cumulative normal, as in the paper, and x the stimulus or
+its natural logarithm (Wichmann and Hill, Perception & Psychophysics 63, 2001, Eq. 1).
 
-A posterior on a grid of parameters gives estimates and credible intervals; Kuss, Jäkel and Wichmann
-(Journal of Vision 5(5):8, 2005) sample it by Markov chains instead. The grid is deterministic, each
-estimate lies within its interval, and both increase with the share of successes.
+Estimates and credible intervals come from the posterior on a grid of parameters. Kuss, Jäkel and
+Wichmann (Journal of Vision 5(5):8, 2005) sample the posterior by Markov chains instead. The grid is
+deterministic, and each estimate lies within its interval.
 """
 
 from dataclasses import dataclass
@@ -23,17 +23,17 @@ Guess = float | Literal["equal", "free"]
 MOST_LAPSES = 0.1
 """Largest lapse rate, the share of answers that do not depend on the stimulus (our own choice)."""
 MOST_GUESSES = 0.5
-"""Largest guess rate if it is fitted, the share of *felt* without a stimulus."""
+"""Largest guess rate in a fit: the share of *felt* in trials without a stimulus."""
 QUANTILES = (0.5, 0.025, 0.975)
 """Quantiles of the posterior: the estimate and the ends of its 95 % interval."""
 _MIDDLES, _SPREADS, _LAPSES, _GUESSES = 151, 21, 5, 6
 _NARROWEST, _WIDEST = 1 / 40, 1.0
-"""Spreads relative to the range of comparisons, with a uniform prior on the logarithm. Our own
-choice: with it, intervals contain the thresholds of 92 to 98 % of simulated subjects."""
+"""Smallest and largest spread of the grid, relative to the range of comparisons. Our own choice:
+the 95 % intervals then contain the threshold of 92 to 98 % of simulated subjects."""
 _EDGE = 0.05
-"""Distance from the edge of the grid, relative to the range, below which an end of an interval is
-unbounded."""
-_NOTHING = 1e-7  # weight below which the finer grid leaves a place out
+"""Margin at the edge of the grid, relative to the range of comparisons. An end of an interval in
+this margin counts as undetermined."""
+_NEGLIGIBLE = 1e-7  # posterior weight below which the finer grid leaves a value out
 
 
 class Counts(NamedTuple):
@@ -46,7 +46,7 @@ class Counts(NamedTuple):
 
 
 class Parameters(NamedTuple):
-    """Parameters of one function, or of G functions, (G,) each."""
+    """Parameters of one psychometric function, or of G functions, (G,) each."""
 
     middle: Array  # x at which F is 0.5
     spread: Array  # standard deviation of F, in units of x
@@ -56,7 +56,7 @@ class Parameters(NamedTuple):
 
 
 class Bounded(NamedTuple):
-    """Estimate with its credible interval; an undetermined end is infinite."""
+    """Estimate with its credible interval. An end that the answers do not determine is infinite."""
 
     value: float
     low: float
@@ -67,13 +67,13 @@ class Bounded(NamedTuple):
 class Model:
     """Family of psychometric functions that increase with the stimulus."""
 
-    # Lower asymptote: a number if known (0.5 for two intervals, 1/m for m letters, 0); "equal" to
-    # the lapse rate (*which was higher*, with comparisons on both sides of the standard); or "free"
-    # up to `MOST_GUESSES` (*felt*, with trials without a stimulus).
+    # Lower asymptote. A number: the known guess rate, 0.5 for two intervals, 1/m for m letters.
+    # "equal": the lapse rate, for *which was higher* with comparisons on both sides of the
+    # standard. "free": fitted, up to `MOST_GUESSES`, for *felt* with trials without a stimulus.
     guess: Guess = "equal"
-    # Share of successes at the threshold, without lapses, and without guesses if these are free.
-    # None means 0.75 if the asymptotes are equal (paper, Section III.C), else halfway between guess
-    # and 1.
+    # Share of successes that defines the threshold. Lapses are not counted, and neither are guesses
+    # if `guess` is "free". None: 0.75 if `guess` is "equal" (paper, Section III.C), else halfway
+    # between the guess rate and 1.
     at: float | None = None
     logarithmic: bool = True  # whether x is the logarithm of the stimulus
     most_lapses: float = MOST_LAPSES  # upper bound of the lapse rate
@@ -82,12 +82,12 @@ class Model:
         floor = 0.0 if isinstance(self.guess, str) else self.guess
         if not 0 <= floor < 1 - 2 * self.most_lapses:
             raise ExperimentError(
-                f"a guess rate of {floor:g} is too high: give 0 to below "
+                f"a guess rate of {floor:g} is out of range: give 0 to below "
                 f"{1 - 2 * self.most_lapses:g}"
             )
         if self.at is not None and not floor < self.at < 1:
             raise ExperimentError(
-                f"the threshold cannot be at {self.at:g} of the answers: give a share between "
+                f"a share of successes of {self.at:g} cannot define a threshold: give one between "
                 f"{floor:g} and 1"
             )
 
@@ -100,8 +100,8 @@ class Model:
 
     @property
     def share(self) -> float:
-        """Share of successes at the threshold, without lapses, and without guesses if these are
-        free."""
+        """Share of successes at the threshold. Lapses are not counted, and neither are guesses if
+        `guess` is "free"."""
         if isinstance(self.guess, str):
             return self.level
         return self.guess + (1 - self.guess) * self.level
@@ -112,7 +112,9 @@ class Model:
         if not self.logarithmic:
             return values
         if (values < 0).any():
-            raise ExperimentError(f"{values.min():g} has no logarithm: fit it on a linear axis")
+            raise ExperimentError(
+                f"stimulus {values.min():g} has no logarithm: fit with logarithmic=False"
+            )
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(values))
 
@@ -134,14 +136,14 @@ class Model:
 
 def log_likelihood(likely: Array, n: Array, k: Array) -> Array:
     """Return the log likelihood, (...,), of k successes in n trials with probabilities (..., K)."""
-    # Stay away from 0 and 1, so that the logarithm is finite.
+    # Clip the probabilities, so that their logarithms are finite.
     likely = np.clip(likely, 1e-9, 1 - 1e-9)
     return np.asarray(np.log(likely) @ k + np.log1p(-likely) @ (n - k))
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Posterior of the functions of a model, given answers."""
+    """Posterior of the psychometric functions of a model, given answers."""
 
     model: Model
     counts: Counts  # fitted answers
@@ -157,7 +159,7 @@ class Fit:
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Posterior means, (1,) each, shifted so that the threshold is its median."""
+        """Posterior means, (1,) each. The middle is shifted so that the threshold is its median."""
         _, spread, lapse, guess = self.functions
         spread = np.exp([self.weights @ np.log(spread)])
         middle = self._quantiles(self.model.level)[0] - ndtri(self.model.level) * spread
@@ -165,7 +167,7 @@ class Fit:
         return Parameters(middle, spread, *others)
 
     def bounded(self, part: float) -> Bounded:
-        """Return the stimulus at which F equals ``part``, with its interval."""
+        """Return the stimulus at which F equals ``part``, with its credible interval."""
         value, low, high = self._quantiles(part)
         first, last = self.ends
         edge = (1 - _EDGE) * (last - first)
@@ -188,8 +190,8 @@ class Fit:
 def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
     """Fit psychometric functions to answers at two or more comparisons.
 
-    The priors of middle, logarithm of spread, lapse and free guess are uniform. Middles reach one
-    range of comparisons beyond the outermost.
+    The priors of the middle, the logarithm of the spread, the lapse rate and a free guess rate are
+    uniform. Middles extend beyond the outermost comparisons by the range of the comparisons.
     """
     x = model.axis(counts.stimulus)
     finite = model.axis([*counts.stimulus, standard or counts.stimulus[-1]])
@@ -198,25 +200,25 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
     span = (last - first) or 1.0
     middles = np.linspace(first - span, last + span, _MIDDLES)
     spreads = np.linspace(np.log(span * _NARROWEST), np.log(span * _WIDEST), _SPREADS)
-    for _ in range(2):  # the second grid is finer, where the first has weight
+    for _ in range(2):  # the second, finer grid covers only where the first has weight
         functions = _grid(model, middles, np.exp(spreads))
         likely = log_likelihood(model.probability(x, functions), counts.n, counts.k)
         found = Fit(model, counts, (first, last), functions, likely)
         weights = found.weights.reshape(_MIDDLES, _SPREADS, -1)
-        middles = _inner(middles, weights.sum(axis=(1, 2)))
-        spreads = _inner(spreads, weights.sum(axis=(0, 2)))
+        middles = _refined(middles, weights.sum(axis=(1, 2)))
+        spreads = _refined(spreads, weights.sum(axis=(0, 2)))
     return found
 
 
-def _inner(places: Array, weights: Array) -> Array:
-    """Return the same number of places, confined to those with weight."""
-    some = np.flatnonzero(weights > _NOTHING)
-    low, high = places[max(some[0] - 1, 0)], places[min(some[-1] + 1, len(places) - 1)]
-    return np.linspace(low, high, len(places))
+def _refined(values: Array, weights: Array) -> Array:
+    """Return the same number of values, evenly spaced over the range that has weight."""
+    some = np.flatnonzero(weights > _NEGLIGIBLE)
+    low, high = values[max(some[0] - 1, 0)], values[min(some[-1] + 1, len(values) - 1)]
+    return np.linspace(low, high, len(values))
 
 
 def _grid(model: Model, middles: Array, spreads: Array) -> Parameters:
-    """Return functions, (G,), for all combinations; the middle varies slowest."""
+    """Return functions, (G,), for all combinations of parameters; the middle varies slowest."""
     lapses = np.linspace(0, model.most_lapses, _LAPSES)
     known = 0.0 if isinstance(model.guess, str) else model.guess
     guesses = np.linspace(0, MOST_GUESSES, _GUESSES) if model.guess == "free" else [known]
