@@ -1,6 +1,6 @@
 """Answers of an experiment and their CSV file, with one row for each trial in PsychoPy's layout.
 
-Each row is on disk at once. Files that a spreadsheet has saved can be read and continued.
+Each row is written to disk at once. Files that a spreadsheet has saved can be read and continued.
 """
 
 import csv
@@ -30,23 +30,23 @@ from smarttouch.base.stopping import Closing
 from smarttouch.experiments.psychometric import Array, Counts, Guess, Model
 
 WORDS, NUMBER, OPTIONAL, ANSWER = "words", "number", "optional number", "answer"
-"""Kinds of columns. Cells of the last two kinds may be empty."""
+"""Kinds of columns. Cells of the kinds `OPTIONAL` and `ANSWER` can be empty."""
 COLUMNS = {
-    # Repetition, trial within the repetition, trial in all, condition; each counts from 0.
+    # Numbers, from 0, of repetition, trial in the repetition, trial in the file, and condition.
     "thisRepN": NUMBER, "thisTrialN": NUMBER, "thisN": NUMBER, "thisIndex": NUMBER,
     "experiment": WORDS, "procedure": WORDS,
-    "standard": OPTIONAL,  # empty if there is none
-    "comparison": NUMBER,  # level, frequency or distance
-    "comparison_interval": OPTIONAL,  # 1 or 2; empty where there are no two intervals
-    "unit": WORDS,  # of standard and comparison: Hz, mA or mm
-    "target": WORDS, "response": WORDS,  # response is empty if no answer came
-    "success": ANSWER,  # 1 if judged higher, felt or right, else 0; empty if no answer came
+    "standard": OPTIONAL,  # empty in trials without a standard
+    "comparison": NUMBER,  # current, frequency, distance or softness
+    "comparison_interval": OPTIONAL,  # 1 or 2; empty in trials with a single interval
+    "unit": WORDS,  # of standard and comparison, such as Hz, mA or mm
+    "target": WORDS, "response": WORDS,  # correct response; response, empty without an answer
+    "success": ANSWER,  # 1 if judged higher, felt or correct, else 0; empty without an answer
     "rt": OPTIONAL,  # reaction time from the end of the stimulus, s
     "time_s": NUMBER, "level": NUMBER,  # time in the run; intensity chosen by the user, 0 to 1
     "participant": WORDS, "session": WORDS, "date": WORDS,  # date: start of the session
     "seed": NUMBER, "frameRate": OPTIONAL, "version": WORDS,
 }  # fmt: skip
-"""Kind of each column of an experiment."""
+"""Columns of a file of answers, and the kind of each column."""
 Value = str | float | None
 Row = dict[str, Value]
 """Values of a row by column name."""
@@ -62,7 +62,7 @@ _SPREADSHEET = "a spreadsheet may have changed it: correct it, or delete the lin
 
 @dataclass(frozen=True)
 class Dialect:
-    """Separator, decimal sign and line break of a CSV file."""
+    """Cell separator, decimal separator and line break of a CSV file."""
 
     delimiter: str = ","
     comma: bool = False  # whether numbers have a decimal comma
@@ -80,11 +80,11 @@ class Dialect:
             return ""
         if isinstance(value, str):
             if "\n" in value or "\r" in value:
-                raise ExperimentError(f"{column} {value!r} has a line break: leave it out")
+                raise ExperimentError(f"{column} {value!r} contains a line break: remove it")
             return value
         if not math.isfinite(value):
             raise ExperimentError(f"{column} is {value}: give a finite number")
-        # Convert numpy scalars: their repr names the type.
+        # Convert numpy scalars, because their repr contains the type.
         text = repr(float(value)) if isinstance(value, float) else str(int(value))
         return text.replace(".", ",") if self.comma else text
 
@@ -95,7 +95,7 @@ class AnswerCells:
 
     path: Path
     head: tuple[str, ...]
-    lines: list[tuple[int, dict[str, str]]]  # number in the file, cells
+    lines: list[tuple[int, dict[str, str]]]  # line number in the file, and cells
     dialect: Dialect
     ended: bool  # whether the last line ends with a line break
     cut: bool  # whether an incomplete last line was left out
@@ -115,7 +115,7 @@ class AnswerCells:
         return math.nan if word in _NONE else float(word in _YES)
 
     def rows(self, columns: Mapping[str, str]) -> list[Row]:
-        """Return all lines as rows, with values of the given kinds."""
+        """Return all lines as rows. ``columns`` gives the kind of each column."""
         for column in columns:
             if column not in self.head:
                 raise ExperimentError(
@@ -159,7 +159,7 @@ def parse_cells(data: bytes, path: Path) -> AnswerCells:
         rows = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
     except csv.Error as failure:
         raise ExperimentError(
-            f"{path} is no CSV file ({failure}): save it as one in UTF-8"
+            f"{path} is not a CSV file ({failure}): save it as CSV in UTF-8"
         ) from None
     if not rows:
         raise ExperimentError(f"{path} is empty: give a file of answers")
@@ -184,11 +184,11 @@ def parse_cells(data: bytes, path: Path) -> AnswerCells:
 
 
 class AnswerFile(Closing):
-    """CSV file to which rows are appended; each is on disk before `append` returns.
+    """CSV file to which rows are appended; each row is on disk before `append` returns.
 
-    ``about`` holds the values that are equal in all rows. An existing file is continued in its own
-    dialect if its rows agree with ``about``. Only an incomplete last line is removed from it. The
-    file is locked against other runs while it is open.
+    ``about`` holds the values that are equal in all rows. An existing file is continued in its
+    dialect if its rows agree with ``about``; an incomplete last line is removed, nothing else. An
+    open file is locked against other runs.
     """
 
     def __init__(
@@ -210,7 +210,7 @@ class AnswerFile(Closing):
             raise
 
     def _begin(self, data: bytes) -> None:
-        """Read existing lines, and find the end of the last complete one."""
+        """Read existing rows. Write a missing heading, and remove an incomplete last line."""
         head = _BOM + self._dialect.line((column, column) for column in self._columns)
         if head.startswith(data) and data != head:
             self._write(head, 0)
@@ -230,7 +230,7 @@ class AnswerFile(Closing):
         self._write(b"" if cells.ended or begun else self._dialect.line_end.encode(), end)
 
     def append(self, row: Row) -> None:
-        """Append one trial; the columns of ``about`` and the version are added."""
+        """Append the row of one trial; values of ``about`` and the version are added to it."""
         row = {**dict.fromkeys(self._columns), "version": __version__, **self._about, **row}
         self._write(
             self._dialect.line((column, row[column]) for column in self._columns), self._end
@@ -242,7 +242,7 @@ class AnswerFile(Closing):
         self._file.close()
 
     def _write(self, data: bytes, at: int) -> None:
-        """Write at an offset; remove what a failed write left beyond it."""
+        """Write at an offset. Bytes beyond the offset, from a failed write, are removed first."""
         try:
             if self._file.seek(0, os.SEEK_END) > at:
                 self._file.truncate(at)
@@ -258,8 +258,8 @@ class AnswerFile(Closing):
         for name, value in self._about.items():
             if row[name] != value:
                 raise ExperimentError(
-                    f"{self.path} has {name} {row[name]!r}, not {value!r} (unless a spreadsheet "
-                    "has changed it): give another file, or remove it"
+                    f"{self.path} has {name} {row[name]!r}, not {value!r} (a spreadsheet may have "
+                    "changed it): give another file, or remove this one"
                 )
 
 
@@ -267,12 +267,12 @@ class AnswerFile(Closing):
 class Answers:
     """All trials with one standard, in order of presentation."""
 
-    standard: float  # standard of the comparison; 0 if there is none
-    comparison: Array  # (N,): in the unit of the standard
-    success: Array  # (N,): 1 if judged higher, felt or right, else 0; NaN without an answer
-    # (N,): interval of the comparison, 1 or 2; 0 if trials have a single interval
+    standard: float  # standard of the comparisons; 0 if there is none
+    comparison: Array  # (N,): comparison of each trial, in the unit of the standard
+    success: Array  # (N,): 1 if judged higher, felt or correct, else 0; NaN without an answer
+    # (N,): interval of the comparison, 1 or 2; 0 in trials with a single interval
     interval: NDArray[np.int64]
-    alternatives: int = 0  # number of alternatives; 0 for *yes* or *no*, or if unknown
+    alternatives: int = 0  # number of responses to choose from; 0 for *yes* or *no*, or if unknown
 
     @property
     def presented(self) -> int:
@@ -285,7 +285,7 @@ class Answers:
         return int(np.isfinite(self.success).sum())
 
     def chosen(self) -> tuple[int, int]:
-        """Return how often the first and the second interval were chosen."""
+        """Return how often the participant chose the first and the second interval."""
         two = np.isfinite(self.success) & (self.interval > 0)
         chosen = np.where(self.success == 1, self.interval, 3 - self.interval)[two]
         return int((chosen == 1).sum()), int((chosen == 2).sum())
@@ -302,12 +302,12 @@ class Answers:
 
 def usual_model(
     all_answers: Sequence[Answers],  # one for each standard
-    # If None: "equal" if there is a standard or a negative comparison; else 1 / alternatives if
-    # their number is known; else "free" if a comparison is 0; else 0.
+    # None means: "equal" with standards or negative comparisons; else 1 / `Answers.alternatives` if
+    # known; else "free" if a comparison is 0; else 0.
     guess: Guess | None = None,
-    at: float | None = None,  # share of answers at the threshold, see `Model`
+    at: float | None = None,  # share of successes at the threshold, see `Model`
 ) -> Model:
-    """Return the psychometric model that fits the kind of experiment."""
+    """Choose the psychometric model from the kind of answers."""
     stimulus = np.concatenate([answers.comparison for answers in all_answers])
     signed = bool((stimulus < 0).any())
     if guess is None:
@@ -323,7 +323,7 @@ def usual_model(
 
 @dataclass(frozen=True, eq=False)
 class AnswerTable:
-    """The answers of one file."""
+    """Answers of one file."""
 
     name: str  # name of the file, without suffix
     unit: str  # of standards and comparisons; empty if unknown
@@ -373,7 +373,7 @@ def read_table(
 
 
 def _alternatives(lines: list[dict[str, str]]) -> int:
-    """Return the number of alternatives; 0 for *yes* or *no*, or if unknown."""
+    """Return the number of responses to choose from; 0 for *yes* or *no*, or if unknown."""
     if any(cells.get("comparison_interval") for cells in lines):
         return 2
     responses = {cells.get("response", "") for cells in lines}

@@ -1,6 +1,6 @@
-"""Experiments by name or by file: the paper's and those of users.
+"""Catalog of experiments: those of the package by name, those of users by file.
 
-An error in a user's file becomes an ExperimentError with its line."""
+An error in a user's file becomes an ExperimentError that names the line."""
 
 import math
 import runpy
@@ -40,41 +40,41 @@ from smarttouch.experiments.trials import (
 
 _MOST_BYTES = 10_000_000
 PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
-"""Standards for PC: those for RA, and the two at which the paper's thresholds change (Fig. 18)."""
-_NARROWEST_RATIO, _START_RATIO = 1.01, 1.6  # smallest and first ratio of a staircase
+"""Standards for PC, Hz: those for RA, and two at which the paper's thresholds change (Fig. 18)."""
+_NARROWEST_RATIO, _START_RATIO = 1.01, 1.6  # smallest and first ratio of comparison to standard
 _STEP = 0.03
-"""Relative step down of a frequency staircase. A quarter of the mechanical threshold (about 20 %)
-would be 5 %."""
+"""Relative step down of a frequency staircase. It is finer than 5 %, a quarter of the threshold of
+about 20 % for mechanical vibration."""
 LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
 """Levels of the detection experiment, relative to the profile's threshold (our own choice)."""
-_DETECTION_STEP = 0.05
+_DETECTION_STEP = 0.05  # relative step down of a detection staircase
 _DETECTION_RANGE = (0.3, 3.0)  # range of levels, relative to the profile's threshold
-SOFTNESSES = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)  # each compared with 0 (our own choice)
-_FARTHEST = 4  # largest distance to each side, in electrodes
-_DISCOMFORTS = 5
+SOFTNESSES = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)  # each compared with softness 0 (our own choice)
+_FARTHEST = 4  # largest offset in `localization`, in electrodes
+_DISCOMFORTS = 5  # default number of trials of `discomfort`
 _SLOWER = 2.0
-"""Factor by which the current rises more slowly than the profile's ramp in `discomfort`."""
+"""Smallest rise time of the current in `discomfort`, relative to the ramp of the profile."""
 
 
 @dataclass(frozen=True)
 class Experiment:
     """One experiment: its question and the generator of its trials."""
 
-    about: str  # question, in one line
+    about: str  # question to the participant, in one line
     trials: Callable[[Setup], Trials]
     procedures: tuple[str, ...] = (CONSTANT,)  # allowed procedures, the default first
     train_s: float = 0.5  # default duration of a pulse train
 
 
 def frequency(setup: Setup) -> Trials:
-    """Ask which of two trains of the same length is faster (paper, Section III.C)."""
+    """Ask which of two pulse trains of the same duration is faster (paper, Section III.C)."""
     is_pc = setup.afferent is Afferent.PC
     standards = setup.standards_hz or (PC_STANDARDS_HZ if is_pc else STANDARDS_HZ)
     highest_hz = setup.profile.limits.rate_hz
     if is_pc:
         setup.notes.append(
-            f"PC is stimulated by {setup.profile.name or 'this profile'}'s own PC kernel: the "
-            "paper's large electrode (Fig. 17) has no printed size"
+            f"PC is stimulated by the PC kernel of {setup.profile.name or 'this profile'}, because "
+            "the paper does not state the size of its large electrode (Fig. 17)"
         )
 
     def trial(condition: Condition) -> Trial:
@@ -92,8 +92,8 @@ def frequency(setup: Setup) -> Trials:
         pairs = ratio_pairs(standards, highest=highest_hz)
         if left_out := len(ratio_pairs(standards)) - len(pairs):
             setup.notes.append(
-                f"{left_out} comparisons above the profile's limit of {highest_hz:g} Hz are not "
-                "offered"
+                f"{left_out} comparisons above the profile's limit of {highest_hz:g} Hz are left "
+                "out"
             )
         procedure = setup.constant(pairs)
     else:
@@ -102,15 +102,15 @@ def frequency(setup: Setup) -> Trials:
 
 
 def _faster(setup: Setup, standards: tuple[float, ...], highest_hz: float) -> Procedure:
-    """Return randomly interleaved adaptive procedures, one for each standard, for upper
-    thresholds."""
+    """Return randomly interleaved adaptive procedures, one for the upper threshold of each
+    standard."""
     procedures = []
     for index, standard in enumerate(standards):
         low, high = _NARROWEST_RATIO * standard, min(WIDEST_RATIO * standard, highest_hz)
         if high <= low:
             raise ExperimentError(
-                f"nothing can be faster than a standard of {standard:g} Hz within the profile's "
-                f"limit of {highest_hz:g} Hz: give lower standards"
+                f"the profile's limit of {highest_hz:g} Hz leaves no comparison above the standard "
+                f"of {standard:g} Hz: give lower standards"
             )
         procedures.append(
             adaptive(
@@ -122,10 +122,10 @@ def _faster(setup: Setup, standards: tuple[float, ...], highest_hz: float) -> Pr
 
 
 def detection(setup: Setup) -> Trials:
-    """Ask whether anything is felt.
+    """Ask whether the participant feels a pulse train.
 
-    The comparison is the current of the strongest electrode of the site's kernel, mA. Some trials
-    have none.
+    The comparison is the current of the strongest electrode of the site's kernel, mA. It is 0 in
+    some trials of constant stimuli.
     """
     threshold_ma, full_ma = _currents_ma(setup)
     train = setup.train([setup.place], setup.pulse_hz)
@@ -160,12 +160,12 @@ def _currents_ma(setup: Setup) -> tuple[float, float]:
 
 
 def discomfort(setup: Setup) -> Trials:
-    """Ask when a steadily rising current, up to the profile's maximum, is enough."""
+    """Ask when a rising current, up to the comfort level of the site, is strong enough."""
     slowest_s = _SLOWER * setup.profile.limits.ramp_s
     if setup.train_s is not None and setup.train_s < slowest_s:
         raise ExperimentError(
-            f"a current that reaches discomfort in {setup.train_s:g} s rises too fast: let "
-            f"trains last {slowest_s:g} s or more"
+            f"a current that reaches the comfort level in {setup.train_s:g} s rises too fast: give "
+            f"a train_s of {slowest_s:g} s or more"
         )
     train = setup.train([setup.place], setup.pulse_hz)
     setup.total = setup.repetitions or _DISCOMFORTS
@@ -179,8 +179,8 @@ def discomfort(setup: Setup) -> Trials:
 
 
 def _rising(train: Train, full_ma: float) -> Course:
-    """Raise the current over the duration of a train. Return y at the first key, or n if there
-    is none."""
+    """Raise the current over the duration of a train. Return y at the first key, or n without a
+    key."""
     steps = round(train.seconds / STEP_S)
     pressed: bool | None = None
     while pressed is None:
@@ -192,7 +192,7 @@ def _rising(train: Train, full_ma: float) -> Course:
 
 
 def localization(setup: Setup) -> Trials:
-    """Ask whether the second point was left or right of the first, by an offset in mm."""
+    """Ask whether a point is left or right of an earlier one. The comparison is its offset, mm."""
     site, place_mm = setup.place, setup.profile.electrodes.position_mm
     driven = setup.profile.driven
     beside = {
@@ -212,7 +212,7 @@ def localization(setup: Setup) -> Trials:
         points = (site, beside[right_mm])
         return Trial(
             condition, tuple(setup.train([point], setup.pulse_hz) for point in points), "side",
-            "was the second left or right? arrow keys", "mm", answers=LEFT_OR_RIGHT,
+            "was the second point left or right? arrow keys", "mm", answers=LEFT_OR_RIGHT,
             success="r", target="r" if right_mm > 0 else "l",
         )  # fmt: skip
 
@@ -223,14 +223,14 @@ def localization(setup: Setup) -> Trials:
 def softness(setup: Setup) -> Trials:
     """Ask which of two points is softer while the finger moves (paper, Section III-B.2).
 
-    The rate of one follows the finger's force, as on a hard object. The comparison is the
-    softness of the other: at 1, its rate is constant.
+    The pulse rate of one point follows the finger's force, as on a hard object. The comparison is
+    the softness of the other point; at softness 1 its pulse rate is constant.
     """
     if setup.afferent is not Afferent.SAI:
         raise ExperimentError("softness is felt through SAI: give --mode SAI")
     setup.notes.append(
-        "move the finger up and down in each interval, and give --force: where force is not "
-        "measured, all are felt alike"
+        "move the finger up and down in each interval, and give --force: without measured force "
+        "all stimuli feel the same"
     )
 
     def trial(condition: Condition) -> Trial:
@@ -247,23 +247,23 @@ def softness(setup: Setup) -> Trials:
 
 
 CATALOG = {
-    "frequency": Experiment("which of two is faster (paper, III-C)", frequency, ADAPTIVE, 1.0),
+    "frequency": Experiment("which train is faster (paper, III-C)", frequency, ADAPTIVE, 1.0),
     "detection": Experiment(
-        "is it felt: threshold current, mA", detection, ADAPTIVE
+        "is a pulse train felt: threshold current, mA", detection, ADAPTIVE
     ),
     "discomfort": Experiment(
-        "when is a rising current enough, mA", discomfort, (LIMITS,), 10.0
+        "when is a rising current enough: current, mA", discomfort, (LIMITS,), 10.0
     ),
-    "localization": Experiment("was the second left or right: distance, mm", localization),
+    "localization": Experiment("is the second point left or right: offset, mm", localization),
     "softness": Experiment(
-        "which of two is softer as the finger moves (paper, III-B)", softness, train_s=3.0
+        "which point is softer as the finger moves (paper, III-B)", softness, train_s=3.0
     ),
 }  # fmt: skip
-"""The package's own experiments by name."""
+"""Experiments of the package, by name."""
 
 
 def find_experiment(name: str) -> Experiment:
-    """Return an experiment by its name in the catalog or by its file."""
+    """Return an experiment from its name in the catalog or from a user's Python file."""
     if name in CATALOG:
         return CATALOG[name]
     if name.endswith(".py"):
@@ -292,27 +292,27 @@ def _experiment_of_file(name: str) -> Experiment:
 
 
 def trials_of(name: str, setup: Setup) -> tuple[Setup, Trials]:
-    """Return the setup, with missing options filled in, and the experiment's trials."""
+    """Return the setup with defaults for missing options, and the trials of the experiment."""
     entry = find_experiment(name)
     procedure = setup.procedure or entry.procedures[0]
     if procedure not in entry.procedures:
         choices = " or ".join(entry.procedures)
         raise ExperimentError(
-            f"the procedure {procedure!r} is not for {name}: choose {choices}"
+            f"{name} has no procedure {procedure!r}: choose {choices}"
         )  # fmt: skip
     setup = replace(setup, procedure=procedure, train_s=setup.train_s or entry.train_s)
     return setup, entry.trials(setup) if name in CATALOG else _checked(name, entry, setup)
 
 
 def _checked(name: str, entry: Experiment, setup: Setup) -> Trials:
-    """Yield the trials of an experiment; turn exceptions in its code into an ExperimentError."""
+    """Yield the trials of a user's experiment; turn exceptions in it into an ExperimentError."""
     answer = None
     try:
         trials = entry.trials(setup)
         if not isinstance(trials, Generator):
             raise ExperimentError(
-                f"{name}: its trials are a {type(trials).__name__}: give a generator function, "
-                "which yields each Trial and gets its Answer"
+                f"the trials of {name} are a {type(trials).__name__}: give a generator function, "
+                "which yields each Trial and receives its Answer"
             )
         while True:
             try:
@@ -331,7 +331,7 @@ def _checked(name: str, entry: Experiment, setup: Setup) -> Trials:
 
 
 def _failure(name: str, error: Exception) -> ExperimentError:
-    """Return an error that names the line of the user's code that failed."""
+    """Return an error that names the line in which the user's code failed."""
     package_path, line = str(Path(__file__).parents[1]), ""
     if isinstance(error, SyntaxError):
         line = f" in line {error.lineno}"

@@ -1,4 +1,4 @@
-"""Session of an experiment: its trials, the file of its answers, and its summary."""
+"""Session of an experiment: remaining trials, file of answers and summary."""
 
 import contextlib
 import math
@@ -17,23 +17,23 @@ from smarttouch.experiments.procedures import LIMITS, middle_and_spread
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import Answer, Setup, Trial, Trials
 
-_SAME = 1e-6  # relative error of a condition after it was written and read
+_TOLERANCE = 1e-6  # for conditions that were written to a file and read again
 
 
 @dataclass
 class ExperimentSession:
     """One run of an experiment: the remaining trials and the file of answers.
 
-    To resume, the answers in the file are sent again to the generator of trials, which is
-    deterministic and so arrives at the next trial. A trial without a row is repeated.
+    A session resumes by sending the answers in the file to the generator of trials again. The
+    generator is deterministic, so it then yields the first trial that has no row in the file.
     """
 
     setup: Setup
     file: AnswerFile
     title: str
-    resumed: int  # trials of earlier runs
+    resumed: int  # number of trials done in earlier runs
     _trials: Trials
-    _next: Trial | None  # None at the end
+    _next: Trial | None  # None after the last trial
     _date: str  # start of the session
 
     @property
@@ -42,7 +42,7 @@ class ExperimentSession:
         return self._next is None
 
     def source(self, observer: Observer | None = None) -> TrialSource:
-        """Return the source of stimuli; an observer, if given, answers in place of a person."""
+        """Return the source of stimuli. An observer, if given, answers instead of a person."""
         setup = self.setup
         source = TrialSource(
             self._recorded(), setup.profile, self.title, done=self.resumed, total=setup.total,
@@ -52,7 +52,7 @@ class ExperimentSession:
         return source
 
     def _recorded(self) -> Trials:
-        """Yield the remaining trials; each answer is on disk before the next trial."""
+        """Yield the remaining trials; write each answer to disk before the next trial."""
         while (trial := self._next) is not None:
             answer = yield trial
             self.file.append(self._row(trial, answer))
@@ -72,8 +72,7 @@ class ExperimentSession:
         }  # fmt: skip
 
     def before(self, modeled: bool = False) -> Iterator[str]:
-        """Yield lines that introduce the session; ``modeled`` says if the participant is
-        simulated."""
+        """Yield lines to show before a session; ``modeled`` if a `SimulatedObserver` answers."""
         total = "" if self.setup.total is None else f" of {self.setup.total}"
         if self.resumed and not self.over:
             yield f"continues at trial {self.resumed + 1}{total}: {self.file.path}"
@@ -82,7 +81,7 @@ class ExperimentSession:
             yield FITTED
 
     def after(self) -> Iterator[str]:
-        """Yield lines about the answers so far and the next command."""
+        """Yield lines of text to show after the session: counts, results and the next command."""
         rows, total = self.file.rows, self.setup.total
         successes = [row for row in rows if row["success"]]
         missing = sum(row["success"] is None for row in rows)
@@ -94,21 +93,21 @@ class ExperimentSession:
         )
         if self.setup.procedure == LIMITS:
             if successes:
-                middle, spread = middle_and_spread([_number(success) for success in successes])
-                yield f"enough at {middle:.3f} mA (spread {spread:.3f}), {len(successes)} times"
+                middle, spread = middle_and_spread([_comparison(success) for success in successes])
+                yield f"enough at {middle:.3f} mA (median of {len(successes)}; spread {spread:.3f})"
             if len(successes) < len(rows):
-                yield f"{len(rows) - len(successes)} times it was never enough"
+                yield f"largest current not enough in {len(rows) - len(successes)} trials"
         elif missing < len(rows):
-            yield f"fit it: smarttouch experiment fit {self.file.path}"
+            yield f"fit the answers: smarttouch experiment fit {self.file.path}"
 
 
 @contextlib.contextmanager
 def open_experiment(
     name: str, setup: Setup, path: Path, participant: str = "", session: str = ""
 ) -> Iterator[ExperimentSession]:
-    """Open an experiment's file of answers, and continue where it ends.
+    """Open the file of an experiment's answers, and continue after its last answer.
 
-    ``name`` is an experiment or its file, see `find_experiment`.
+    ``name`` is the name of an experiment or a Python file, see `find_experiment`.
     """
     setup, trials = trials_of(name, setup)
     trial = next(trials, None)
@@ -121,8 +120,8 @@ def open_experiment(
         for number, row in enumerate(file.rows):
             if trial is None or not _is_same(trial, row):
                 raise ExperimentError(
-                    f"{path}, trial {number + 1}, is not from this experiment: continue with the "
-                    "options of its first run, remove the file, or give another --output"
+                    f"{path}, trial {number + 1}, is not from this experiment: use the options of "
+                    "the first run, remove the file, or give another --output"
                 )
             success = row["success"]
             answer = Answer(str(row["response"]), None if success is None else bool(success))
@@ -141,26 +140,27 @@ def _next(trials: Trials, answer: Answer) -> Trial | None:
 def _is_same(trial: Trial, row: Row) -> bool:
     condition = trial.condition
     pairs = [(condition.standard, row["standard"] or 0.0)]
-    # The comparison is NaN if the trial itself determines it.
+    # The comparison is NaN if the keys of the participant determine it.
     if not math.isnan(condition.comparison):
-        pairs.append((condition.comparison, _number(row)))
+        pairs.append((condition.comparison, _comparison(row)))
     interval = condition.comparison_interval or None
     return interval == row["comparison_interval"] and all(
-        math.isclose(one, float(other), rel_tol=_SAME, abs_tol=_SAME) for one, other in pairs
+        math.isclose(expected, float(stored), rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
+        for expected, stored in pairs
     )
 
 
-def _number(row: Row) -> float:
+def _comparison(row: Row) -> float:
     return float(row["comparison"] or 0.0)
 
 
 def experiment_name(name: str, setup: Setup) -> str:
-    """Return the experiment's name in its file: name and class."""
+    """Return the title of an experiment in the file of answers: its name and the class."""
     return f"{Path(name).stem}-{setup.afferent.name}"
 
 
 def session_name(experiment: str, participant: str, session: str) -> tuple[str, int]:
-    """Return the file name of a session, without ending, and the seed of its random orders."""
+    """Return the file name of a session, without suffix, and the seed of its random orders."""
     for parameter, name in (("participant", participant), ("session", session)):
         if any(not (character.isalnum() or character in "-_.") for character in name):
             raise SmartTouchError(
@@ -171,7 +171,7 @@ def session_name(experiment: str, participant: str, session: str) -> tuple[str, 
 
 
 def numbered(path: Path) -> Path:
-    """Return a free path: the given one, or one with the next number."""
+    """Return the path, or, if the file exists, the path with the next free number."""
     names = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
     return (
         next(candidate for candidate in names if not candidate.exists()) if path.exists() else path

@@ -1,4 +1,4 @@
-"""Program of an experiment: the pulses of its trials, and the questions between them."""
+"""Source that presents the trials of an experiment: pulses, and questions after them."""
 
 import math
 from collections import deque
@@ -19,20 +19,20 @@ from smarttouch.stimulation.safety_gate import FIRST_NS, MOST_STEP_NS
 from smarttouch.stimulation.scheduler import rate_share
 
 PAUSE_S = 0.5  # shortest time between an answer and the next trial
-PATIENCE_S = 10.0  # longest wait for a trial's current if the participant is simulated
-MOST_SPOILED = 10  # times that the current of one trial may be lost
+PATIENCE_S = 10.0  # longest wait for the current of a trial, with a simulated participant
+MOST_SPOILED = 10  # number of times that one trial is repeated after a loss of current
 _SPOILED = 0.5
-"""Share of the intensity at the start of an interval below which current counts as lost. One key
-changes it by less. Trials in milliamperes allow no drop."""
+"""Share of the requested intensity below which current counts as lost. A single key press changes
+intensity by less. Trials with exact currents use `STEADY` instead."""
 _NUMBERS = ("first", "second")
 
 
 class TrialSource(Program):
     """Source that presents trials and sends each answer to their generator.
 
-    A trial begins when the current has reached the intensity that the user chose. It is repeated if
-    current is lost within an interval: by a pause, a lifted finger or a lost board. An observer, if
-    given, answers in place of a person.
+    A trial begins when the current has reached the intensity that the user chose. The trial is
+    repeated if its current is lost, by a pause, a lifted finger or a lost board. An observer, if
+    given, answers instead of a person.
     """
 
     fixed_mode = True
@@ -44,7 +44,7 @@ class TrialSource(Program):
         profile: Profile,
         title: str,
         *,
-        done: int = 0,  # trials of earlier runs
+        done: int = 0,  # number of trials done in earlier runs
         total: int | None = None,  # number of trials; None if it depends on the answers
         gap_s: float = 0.5,  # pause between two intervals
         answer_s: float = 0.0,  # time limit for an answer; 0 for none
@@ -56,9 +56,9 @@ class TrialSource(Program):
         self._gap_s, self._answer_s, self._observer = gap_s, answer_s or math.inf, observer
         self.patience_s: float = math.inf if observer is None else PATIENCE_S
         self._pressed: deque[tuple[str, int]] = deque()
-        self._starts: list[Starts] | None = None  # of the intervals of the current trial
-        self._wanted: float | None = None  # latest current of a trial's course, mA
-        self._softness = 1.0  # softness of the current train
+        self._starts: list[Starts] | None = None  # one for each interval; None between stimuli
+        self._wanted: float | None = None  # latest current that `Trial.course` yielded, mA
+        self._softness = 1.0  # softness of the train being presented
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
@@ -67,19 +67,19 @@ class TrialSource(Program):
         return {key: partial(self.press, key) for key in (*named, "left", "right")}
 
     def press(self, key: str) -> None:
-        """Accept a key, from any thread."""
+        """Store a pressed key and its time. Any thread may call this."""
         self._pressed.append((key, self.time_ns()))
 
     def start(self, run: RunContext) -> None:
         super().start(run)
         if self._observer is not None and not isinstance(run.board.driver, SimulatedDriver):
             raise ExperimentError(
-                "a simulated participant responds to simulated currents only: choose the board "
+                "a simulated participant responds only to simulated currents: choose the board "
                 "simulated:"
             )
 
     def read(self, time_ns: int) -> Input | None:
-        """Return the current stimulus; its rate may follow the finger's force."""
+        """Return the stimulus to send. Below softness 1 its rate follows the finger's force."""
         stimulus = super().read(time_ns)
         if isinstance(stimulus, Stimulus) and stimulus.period_us is not None and self._softness < 1:
             share = rate_share(self.gate, self._softness)
@@ -87,7 +87,7 @@ class TrialSource(Program):
         return stimulus
 
     def step(self, result: StepResult) -> None:
-        """Record how the last stimulus was sent."""
+        """Record when the stimulus was sent; note a rate that the board cannot reach."""
         super().step(result)
         if self._starts is None:
             return
@@ -95,14 +95,14 @@ class TrialSource(Program):
         if sequence.period_us != asked_us and not self.notes:
             self.notes.append(
                 f"pulses were requested at {1e6 / asked_us:.4g} Hz and sent at "
-                f"{sequence.rate_hz:.4g} Hz: the board cannot reach this rate with so many sites"
+                f"{sequence.rate_hz:.4g} Hz: the board cannot stimulate all sites faster"
             )
         if self._observer is not None and result.number is not None:
             discharge_us = int(sequence.discharge_us[0]) if sequence.slots else 0
             self._starts[-1][result.number] = (sequence.time_ns, discharge_us)
 
     def note_opening(self) -> None:
-        """Show what a trial needs to begin."""
+        """Show what the participant must do so that the trial can begin."""
         self._say(self._missing)
 
     def program(self) -> None:
@@ -119,8 +119,8 @@ class TrialSource(Program):
                     self._tell("trial", " again: current was lost")
                     if spoiled > MOST_SPOILED:
                         raise ExperimentError(
-                            f"current was lost {spoiled} times in one trial, and {MOST_SPOILED} "
-                            "times are allowed: check the connection, and keep the finger on the "
+                            f"current was lost {spoiled} times in one trial, more than the allowed "
+                            f"{MOST_SPOILED}: check the connection, and keep the finger on the "
                             "electrodes"
                         ) from lost
                 finally:
@@ -150,20 +150,20 @@ class TrialSource(Program):
             self._starts = felt
             self._present(trial, train, train.level, train.seconds)
             self._starts = None
-        # Ignore keys pressed before the last pulse.
+        # Ignore keys that were pressed during the stimuli.
         self._pressed.clear()
         return self._ask(trial) if self._observer is None else self._decided(trial, felt)
 
-    def _open(self, opened: Callable[[], float]) -> None:
-        """Wait until the ramp has reached a level, then pause without current."""
+    def _open(self, raise_level: Callable[[], float]) -> None:
+        """Raise the level and pause, until ``raise_level`` returns 0, the time that it needed."""
         try:
-            while opened():
+            while raise_level():
                 self._say("")
                 self.wait(PAUSE_S)
         except LevelNotReachedError:
             raise ExperimentError(
-                f"no trial could begin for {self.patience_s:g} s, and no participant can "
-                f"{self._missing}: give more --intensity or --force"
+                f"no trial began within {self.patience_s:g} s: a simulated participant cannot "
+                f"{self._missing}, so give a higher --intensity or --force"
             ) from None
 
     def _present(self, trial: Trial, train: Train, level: Level, seconds: float) -> Shown:
@@ -178,12 +178,12 @@ class TrialSource(Program):
             self._softness = 1.0
 
     def _attempt_course(self, trial: Trial) -> Answer:
-        """Let the current follow the keys from zero, no faster than the ramp."""
+        """Present a current that starts at zero and follows the keys, no faster than the ramp."""
         course, (train,) = trial.course, trial.intervals
         assert course is not None
         if self._observer is not None:
             raise ExperimentError(
-                "simulated participants cannot steer a current: answer at a terminal"
+                "a simulated participant cannot control a current: leave out --simulate"
             )
         # The course raises the current itself, so wait only for force and intensity.
         self._open(self._wait_for_force)
@@ -209,7 +209,7 @@ class TrialSource(Program):
                     self._pressed.popleft()
             if self._wanted is None:
                 return None
-            # The first step starts at zero.
+            # From zero the ramp begins at `FIRST_NS`, as in the safety gate.
             risen_ns = min(since_ns - before_ns, MOST_STEP_NS) if level else FIRST_NS
             most_level = level + risen_ns / 1e9 / self._profile.limits.ramp_s
             level, before_ns = min(1.0, self._wanted / full_ma, most_level), since_ns
@@ -227,7 +227,7 @@ class TrialSource(Program):
         return replace(answer, reached=shown.current_ma, found=found)
 
     def _wait_for_force(self) -> float:
-        """Wait until force and intensity are sufficient; return 0."""
+        """Wait until force and intensity are sufficient; return 0, as `_open` expects."""
 
         def is_ready() -> bool:
             ready = self.gate * self.user_level >= STEADY
@@ -279,7 +279,7 @@ class TrialSource(Program):
             return "press the finger on the electrodes"
         if self.user_level == 0:
             return "raise the intensity with +"
-        return "press firmly, and raise the intensity to the full with +"
+        return "press firmly, and raise the intensity to its maximum with +"
 
     def _tell(self, what: str, words: str) -> None:
         """Emit an event about the current trial."""

@@ -1,4 +1,4 @@
-"""Trials of experiments: pulse trains, questions, and the setup that makes them.
+"""Trials of experiments: pulse trains, questions, and the options for both.
 
 An experiment is a generator that yields a `Trial` and receives its `Answer`.
 """
@@ -23,8 +23,8 @@ from smarttouch.profile import Profile
 from smarttouch.profile.profile import require_driven
 
 FEWEST_PULSES = 2  # fewest pulses that have a frequency
-LONGEST_S = 60.0
-STEP_S = 0.05  # time step of a current that follows the keys
+LONGEST_S = 60.0  # longest pulse train
+STEP_S = 0.05  # time step of a `Course`
 
 FIRST_OR_SECOND = {"1": "1", "2": "2", "left": "1", "right": "2"}
 YES_OR_NO = {"y": "y", "n": "n"}
@@ -40,8 +40,7 @@ class Train:
     activation: NDArray[np.float32]
     period_us: int  # time from pulse to pulse
     pulses: int  # number of pulses; the train ends one period after the last
-    # in [0, 1]: multiplies the intensity that the user chose
-    level: float = 1.0
+    level: float = 1.0  # in [0, 1]; the user's intensity is multiplied by it
     is_blank: bool = False  # whether the train is silent
     softness: float = 1.0  # 1: constant rate; 0: the rate follows the finger's force
 
@@ -55,9 +54,9 @@ class Train:
 
 
 Course = Generator[float, bool | None, Any]
-"""Current of one electrode that follows the keys. The generator yields the current, mA, for each
-`STEP_S`. It receives whether a key was pressed, or None if current was lost and rises from zero
-again. It returns the response or another result."""
+"""Generator of the current of one electrode, controlled by keys. Yields the current, mA, for each
+`STEP_S`. Receives whether a key was pressed, or None if the current was lost and rises from
+zero again. Returns the response or another result."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,15 +65,15 @@ class Trial:
 
     condition: Condition
     intervals: tuple[Train, ...]  # presented one after another
-    task: str  # kind of question for observers, see `Observer`
+    task: str  # kind of question for simulated participants, see `Observer.respond`
     question: str
     unit: str  # unit of the comparison
     _: KW_ONLY
     answers: Mapping[str, str] = field(default_factory=lambda: YES_OR_NO)  # response by key
     success: str = "y"  # response that counts as a success
     target: str = ""  # correct response; empty if there is none
-    exact: bool = False  # whether the current in mA counts, so that nothing may lower it
-    course: Course | None = None  # steers the level of the only train; any key is then an answer
+    exact: bool = False  # whether force and the user's intensity must not lower the current
+    course: Course | None = None  # controls the current of a single train; any key answers
 
     @property
     def alternatives(self) -> tuple[str, ...]:
@@ -82,7 +81,7 @@ class Trial:
 
     @property
     def words(self) -> str:
-        """Stimulus as text, for the recording of the run."""
+        """Description of the stimulus, for the recording of the run."""
         condition, unit = self.condition, self.unit
         if math.isnan(condition.comparison):
             return "current rises"
@@ -100,7 +99,7 @@ class Answer:
     rt_s: float | None = None  # reaction time from the end of the last interval
     time_s: float = 0.0  # time in the run
     level: float = 1.0  # intensity chosen by the user, 0 to 1
-    reached: float | None = None  # current at the answer, mA, if it followed the keys
+    reached: float | None = None  # current at the answer, mA; None without a course
     found: Any = None  # result of the trial's course
 
 
@@ -108,7 +107,7 @@ Trials = Generator[Trial, Answer, None]
 
 
 def ask(procedure: Procedure, trial: Callable[[Condition], Trial]) -> Trials:
-    """Yield a trial for each condition of a procedure, and pass answers back."""
+    """Yield a trial for each condition of a procedure, and send the answers to the procedure."""
     success: bool | None = None
     while True:
         try:
@@ -120,7 +119,7 @@ def ask(procedure: Procedure, trial: Callable[[Condition], Trial]) -> Trials:
 
 @dataclass
 class Setup:
-    """Profile, class and options of an experiment; makes its pulse trains.
+    """Profile, class and options of an experiment, from which its pulse trains are made.
 
     Raises ExperimentError if an option is out of range.
     """
@@ -134,11 +133,11 @@ class Setup:
     trials: int | None = None  # trials of each standard, for adaptive procedures
     site: int | None = None  # None: the middle of the array
     train_s: float | None = None  # None: the experiment's default
-    gap_s: float = 0.5  # between two intervals
+    gap_s: float = 0.5  # pause between two intervals
     answer_s: float = 10.0  # time limit for an answer; 0 for none
     rate_hz: float | None = None  # pulse rate, unless the experiment sets it
     seed: int = 0  # seed of the order of trials
-    total: int | None = field(default=None, init=False)  # of trials; None if answers decide
+    total: int | None = field(default=None, init=False)  # number of trials, if known
     notes: list[str] = field(default_factory=list, init=False)  # messages to the user
 
     def __post_init__(self) -> None:
@@ -177,28 +176,28 @@ class Setup:
 
     @property
     def pulse_hz(self) -> float:
-        """Pulse rate, Hz: by default the profile's."""
+        """Pulse rate, Hz; by default the rate of the profile."""
         return self.profile.pulse.rate_hz if self.rate_hz is None else self.rate_hz
 
     def train(self, where: Sequence[int] | NDArray[Any], rate_hz: float) -> Train:
-        """Return a train at sites given by index, or by an array of activation, (E,) float or
-        bool."""
+        """Return a pulse train at sites. ``where`` holds their indices, or the activation of each
+        electrode, (E,) float or bool."""
         limit_hz = self.profile.limits.rate_hz
-        words = f"{rate_hz:g} Hz, where the profile allows {limit_hz:g} Hz,"
+        words = f"a pulse rate of {rate_hz:g} Hz"
         require_within(ExperimentError, "rate_hz", rate_hz, 0, limit_hz, words, above=True)
         seconds = self.train_s or 0.5
         pulses = round(seconds * rate_hz)
         if pulses < FEWEST_PULSES:
             raise ExperimentError(
                 f"{seconds:g} s at {rate_hz:g} Hz are {pulses} pulses, fewer than the "
-                f"{FEWEST_PULSES} that define a frequency: make trains longer"
+                f"{FEWEST_PULSES} that define a frequency: give a longer train_s"
             )
         activation = np.zeros((len(Afferent), len(self.profile.electrodes)), np.float32)
         if isinstance(where, np.ndarray) and where.dtype.kind not in "iu":
             if where.shape != activation[0].shape:
                 raise ExperimentError(
-                    f"activation {where.shape} does not fit the {activation.shape[1]} sites of "
-                    f"{self.profile.name}: give one value for each, or site numbers"
+                    f"activation {where.shape} does not fit {activation.shape[1]} electrodes of "
+                    f"{self.profile.name}: give one value for each electrode, or site numbers"
                 )
             activation[self.afferent] = where
         else:
@@ -225,8 +224,8 @@ def in_two_intervals(
 ) -> Trial:
     """Return a trial of two intervals, one with ``comparison_train`` and one with ``other``.
 
-    The interval of the comparison is the correct response. ``task`` is the kind of question for
-    observers, ``unit`` that of the comparison; ``more`` are further fields of `Trial`.
+    The interval of the comparison is the correct response. ``task`` and ``unit`` are described at
+    `Trial`; ``more`` holds further fields of `Trial`.
     """
     at = condition.comparison_interval
     return Trial(
