@@ -2,12 +2,12 @@
 
 The model follows the paper's explanation of its thresholds (Section III-C). Pulses fire RA and, if
 they reach deep enough, PC. RA spikes carry the frequency. People know frequencies from mechanical
-vibration, where the share of PC grows with frequency. So they perceive a train with little PC as
-slower than it is.
+vibration, where the share of PC spikes grows with frequency. So they perceive a pulse train with
+few PC spikes as slower than it is.
 
-Assumptions: the form of the soft minimum, and `ALONE_HZ`, `BASE_WEBER` and `SHARPNESS`, which are
-fitted to the paper's RA mode. The limit of RA mode near 65 Hz is therefore an input, not a
-prediction. The results for PC mode are predictions.
+Assumptions: the soft minimum in `perceived_hz`; and `RA_LIMIT_HZ`, `BASE_WEBER` and `SHARPNESS`,
+which are fitted to the paper's RA mode. The limit of RA mode near 65 Hz is therefore an input, not
+a prediction. The results for PC mode are predictions.
 """
 
 import math
@@ -42,19 +42,19 @@ class Interval:
 Array = NDArray[np.float64]
 
 BASE_WEBER = 0.125
-"""Weber fraction at 75 % if the share of PC agrees with the frequency. Our choice: it keeps
-thresholds below the paper's 20 % up to 45 Hz (Section III-C)."""
-ALONE_HZ = 65.0
-"""Highest frequency perceived without PC spikes. Our choice, between 60 and 70 Hz: there, in the
-paper, PC takes over from RA. On the fingertip both are equally sensitive at 40 Hz."""
+"""Weber fraction at 75 % for pulses whose share of PC spikes is that of a vibration of the same
+frequency. Our choice: thresholds stay below the paper's 20 % up to 45 Hz (Section III-C)."""
+RA_LIMIT_HZ = 65.0
+"""Highest frequency perceived without PC spikes. Our choice: in the paper PC takes over from RA
+between 60 and 70 Hz. On the fingertip RA and PC are equally sensitive at 40 Hz."""
 SHARPNESS = 3.2
-"""Exponent of the soft minimum. Our choice: the threshold at 75 Hz in RA mode becomes 0.68; the
-paper has 0.7."""
+"""Exponent of the soft minimum in `perceived_hz`. Our choice: the Weber fraction at 75 Hz in RA
+mode becomes 0.68; the paper measured 0.7."""
 
 FITTED = (
     "the simulated participant's sense of frequency was fitted to the paper's RA mode "
-    f"({ALONE_HZ:g} Hz, {BASE_WEBER:.1%}, steepness {SHARPNESS:g}): where no PC fires, its "
-    "thresholds are no result"
+    f"(limit {RA_LIMIT_HZ:g} Hz, Weber fraction {BASE_WEBER:.1%}, exponent {SHARPNESS:g}): "
+    "without PC spikes, its thresholds repeat the fit and are not a result"
 )
 """Warning for frequency judgments of a simulated participant."""
 
@@ -66,36 +66,36 @@ SPREAD = math.log1p(BASE_WEBER) / float(math.sqrt(2) * ndtri(0.75))
 @cache
 def _learned() -> tuple[Array, Array]:
     """Return frequencies of vibration, Hz, and the ratio of PC to RA spikes at each."""
-    # Above the best frequency of PC the ratio falls again.
-    hz = np.geomspace(ALONE_HZ, best_hz(Afferent.PC), 200)
+    # Stop at the best frequency of PC. Above it the ratio falls, so it would not be unique.
+    hz = np.geomspace(RA_LIMIT_HZ, best_hz(Afferent.PC), 200)
     return hz, sensitivity(Afferent.PC, hz) / sensitivity(Afferent.RA, hz)
 
 
 def believable_hz(ratio: float) -> float:
     """Return the highest frequency perceived at a ratio of PC to RA spikes, Hz.
 
-    A mechanical vibration of this frequency evokes the same ratio, with each class relative to its
-    best frequency (paper, Fig. 2). Without PC the result is `ALONE_HZ`.
+    A mechanical vibration of the returned frequency evokes this ratio, with each class relative to
+    its best frequency (paper, Fig. 2). Without PC spikes the result is `RA_LIMIT_HZ`.
     """
     hz, ratios = _learned()
     return float(np.interp(ratio, ratios, hz))
 
 
 def perceived_hz(hz: float, ratio: float) -> float:
-    """Return the perceived frequency of a train at a ratio of PC to RA spikes, without noise, Hz.
+    """Return the frequency, Hz, perceived for a train of pulses at ``hz``, without noise.
 
-    It is the soft minimum of the pulse frequency and `believable_hz`.
+    It is the soft minimum of ``hz`` and `believable_hz` of the ratio of PC to RA spikes.
     """
     limit_hz = believable_hz(ratio)
     return float((hz**-SHARPNESS + limit_hz**-SHARPNESS) ** (-1 / SHARPNESS))
 
 
-_LONGEST_US = 60_000  # longest simulated pause: refractory periods are shorter
+_LONGEST_US = 60_000  # longest simulated pause between slots: refractory periods are shorter
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Spikes of an interval."""
+    """Spikes that the pulses of an interval evoke."""
 
     finger: Finger
     fired: NDArray[np.bool_]  # (A, N) bool: whether each afferent fired in each slot
@@ -113,8 +113,8 @@ class Response:
 
     @property
     def hz(self) -> float:
-        """Spike rate of the most active RA afferent, or of PC if no RA fires; 0 below two
-        spikes."""
+        """Spike rate, Hz, of the most active RA afferent, or PC afferent if no RA afferent fires
+        twice; 0 if none does."""
         for afferent in (Afferent.RA, Afferent.PC):
             class_counts = np.where(self.finger.classes == afferent, self.counts, 0)
             if class_counts.max(initial=0) > 1:
@@ -125,7 +125,7 @@ class Response:
 
     @property
     def ratio(self) -> float:
-        """Ratio of PC to RA spikes, each divided by the number of afferents of its class.
+        """Ratio of PC to RA spikes, each divided by the density of afferents of the class.
 
         Infinite if only PC fires.
         """
@@ -143,7 +143,7 @@ class Response:
 
     @property
     def center_mm(self) -> NDArray[np.float64]:
-        """Mean place of the receptors that fire, (2,) mm; NaN if none fires."""
+        """Mean position of the receptors, weighted by spikes, (2,) mm; NaN without spikes."""
         total = self.counts.sum()
         places = self.finger.receptor_mm.astype(np.float64)
         return np.asarray(self.counts @ places / (total or math.nan))
@@ -157,7 +157,7 @@ class Nerve:
         self._model = SpikeModel(finger, seed)
 
     def of(self, interval: Interval) -> Response:
-        """Return the spikes of an interval."""
+        """Return the spikes that the pulses of an interval evoke."""
         width_us = interval.width_us.astype(np.uint16)
         apart_us = np.diff(interval.time_s * 1e6, append=math.inf) - width_us
         pause_us = np.clip(apart_us, 0, _LONGEST_US).astype(np.uint16)
@@ -168,12 +168,12 @@ class Nerve:
 
 
 GRATING_LIMIT_MM = 0.94
-"""Finest grating whose direction a fingertip identifies (Van Boven and Johnson, Neurology 44,
-1994). We assume that positions are discriminated equally well, in 75 % of trials."""
+"""Groove width of the finest grating whose direction a fingertip identifies (Van Boven and Johnson,
+Neurology 44, 1994). We assume that positions this far apart are discriminated in 75 % of trials."""
 
 
 class Observer(Protocol):
-    """Participant that answers trials in place of a person."""
+    """Simulated participant that answers trials instead of a person."""
 
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
@@ -208,15 +208,15 @@ class SimulatedObserver:
 
     finger: Finger
     seed: int = 0
-    # Mean number of afferents that fire in a slot, felt in half of the trials. Our choice: one
-    # afferent that fires every second slot. Spikes of a single RA afferent can be felt (Vallbo et
-    # al. 1984).
+    # Mean number of afferents firing in a slot that is felt in half of the trials. Our choice: one
+    # afferent in every second slot, as spikes of a single RA afferent can be felt (Vallbo et al.
+    # 1984).
     felt_afferents: float = 0.5
     slope: float = 0.1  # standard deviation of the logarithm of `felt_afferents`
-    # guess, lapse: rate of false detections; rate of answers at random
+    # guess: rate of *felt* without spikes; lapse: rate of answers at random
     guess: float = 0.02
     lapse: float = 0.02
-    # standard deviation of a perceived position
+    # standard deviation of a perceived position, mm
     place_mm: float = GRATING_LIMIT_MM / (math.sqrt(2) * float(ndtri(0.75)))
 
     def __post_init__(self) -> None:
@@ -232,8 +232,8 @@ class SimulatedObserver:
         judges = {"faster": self._faster, "side": self._side, "softer": self._softer}
         if task not in judges:
             raise ExperimentError(
-                f"the simulated observer has no answer to {task!r}: it can answer felt, "
-                f"{', '.join(judges)}"
+                f"the simulated observer cannot judge the task {task!r}: use felt, "
+                f"{', '.join(judges)}, or answer with --simulate random"
             )
         judged = judges[task](intervals)
         if judged is None or self._random.random() < self.lapse:
@@ -254,7 +254,7 @@ class SimulatedObserver:
         return self._larger(perceived, SPREAD)
 
     def _side(self, intervals: Sequence[Interval]) -> str | None:
-        """Return l or r: the side on which the second point lies."""
+        """Return l or r: the side of the first point on which the second point is perceived."""
         at_mm = [self._nerve.of(interval).center_mm[0] for interval in intervals]
         if any(math.isnan(x_mm) for x_mm in at_mm):
             return None
@@ -277,19 +277,19 @@ def make_observer(
     finger: int = 1,  # seed of the simulated finger
     anatomy: str | Path = "paper",  # anatomy of the simulated finger
 ) -> Observer:
-    """Return a ``model`` observer, or a ``random`` one for checks."""
+    """Return an observer: ``model`` judges simulated spikes, ``random`` answers at random."""
     if kind != "model":
         return BlindObserver(seed)
     return SimulatedObserver(Finger(profile, finger, anatomy), seed)
 
 
 Starts = dict[int, tuple[int, int]]
-"""Start of each sequence of an interval, ns, and the discharge after each slot, µs, by sequence
-number."""
+"""Start of each sequence of an interval, ns, and discharge after each of its slots, µs. The keys
+are the numbers of the sequences."""
 
 
 def interval_of(pulses: Pulses, starts: Starts) -> Interval:
-    """Return the pulses of one interval from those of `SimulatedDriver.take_pulses`."""
+    """Select the pulses of one interval from those that `take_pulses` returned."""
     number, width_us, current_ua = pulses
     mine = np.isin(number, list(starts))
     number, width_us, current_ua = number[mine], width_us[mine], current_ua[mine]

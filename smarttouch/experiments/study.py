@@ -41,7 +41,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 
 class Study(Table):
-    """Plan of a study: all combinations of its lists are run."""
+    """Plan of a study, which runs all combinations of the values in its lists."""
 
     title: str = Field(min_length=1)
     """Question of the study."""
@@ -54,7 +54,7 @@ class Study(Table):
     modes: tuple[Literal["RA", "SAI", "PC", "natural"], ...] = Field(default=("RA",), min_length=1)
     """Modes: the classes to stimulate."""
     scans: tuple[Literal["points", "auto"], ...] = Field(default=("points",), min_length=1)
-    """How points share slots: scan modes."""
+    """Scan modes: whether several points may share a slot."""
     intensities: tuple[float, ...] = Field(default=(1.0,), min_length=1, max_length=100)
     """Intensities, relative to the strongest comfortable current."""
     letters: str = Field(default=ALPHABET, min_length=1)
@@ -83,12 +83,12 @@ def load_study(path: Path) -> Study:
 
 
 Advance = Callable[[int, int], None]
-Letters = Mapping[str, tuple[ScanSequence, NDArray[np.bool_]]]  # sequence, targets (E,)
+Letters = Mapping[str, tuple[ScanSequence, NDArray[np.bool_]]]  # sequence, mask of targets (E,)
 
 
 @dataclass(frozen=True)
 class Choice:
-    """One combination of a study, without the finger."""
+    """Combination of profile, mode, scan and intensity in a study."""
 
     # profile, mode, scan: names from the study
     profile: str
@@ -137,10 +137,10 @@ def as_csv(rows: Iterable[StudyRow]) -> str:
 
 
 def from_csv(text: str) -> list[StudyRow]:
-    """Parse the rows of a CSV text. Raises ValueError if it is not from a study."""
+    """Parse rows from CSV. Raises ValueError if the text is not from a study."""
     heading, *lines = csv.reader(io.StringIO(text, newline=""))
     if tuple(heading) != HEADING:
-        raise ValueError("its columns differ")
+        raise ValueError("the columns are not those of a study")
     kinds: list[Any] = [column.type for column in fields(StudyRow)]
     return [
         StudyRow(*(kind(cell) for kind, cell in zip(kinds, line, strict=True))) for line in lines
@@ -150,10 +150,10 @@ def from_csv(text: str) -> list[StudyRow]:
 def study_letters(
     study: Study, name: str, profile: Profile, progress: Advance | None = None
 ) -> list[tuple[Choice, Letters]]:
-    """Return the letters as delivered by each combination with one profile.
+    """Return the scan sequences of all letters for each combination with one profile.
 
-    `progress` is called with the numbers of designed sites and of all sites, if a bank must be
-    designed.
+    If a kernel bank must be designed, `progress` is called with the number of designed sites and
+    the number of all sites.
     """
     bank = load_bank(profile, progress)
     return [
@@ -177,7 +177,7 @@ def rows_of_letters(
 ) -> list[StudyRow]:
     """Return the rows of one finger for all letters and all combinations with its profile."""
     known, rows = letter_templates(profile), []
-    # One thread for each finger: the results are equal on every machine.
+    # With one BLAS thread the results are equal on every machine.
     with threadpool_limits(limits=1, user_api="blas"):
         finger = Finger(profile, seed, anatomy)
         for choice, letters in shown:
@@ -198,7 +198,7 @@ def rows_of_letters(
     return rows
 
 
-VERSION = 3  # increase it when the same study would give other rows
+VERSION = 3  # increase it with each change of code that alters the rows of a study
 ROWS_FILE = "rows.csv"
 _PARTS = "parts"
 _MOST_PART_BYTES = 100_000_000
@@ -208,7 +208,7 @@ def run_study(
     study: Study,
     beside: Path,  # folder to which file names in the study are relative
     folder: Path,  # folder of the results; created if missing
-    # designing, progress: called with the numbers done and in all, of sites and of fingers
+    # called with the number done and the total: `designing` for sites, `progress` for fingers
     designing: Advance | None = None,
     progress: Advance | None = None,
 ) -> list[StudyRow]:
@@ -216,8 +216,8 @@ def run_study(
 
     Rows are sorted by profile, anatomy, finger, combination and letter. Fingers run in parallel by
     `joblib.Parallel`: on all cores, or as set by ``joblib.parallel_config``. The rows of each
-    finished finger are stored in a file of the folder, and used again unless anything that they
-    depend on has changed.
+    finished finger are stored in a file of the folder, and reused unless anything that they depend
+    on has changed.
     """
     parts = folder / _PARTS
     try:
@@ -234,12 +234,12 @@ def run_study(
         digest = joblib.hash(letters)
         for (name, anatomy), seed in fingers:
             path = parts / f"{_key(digest, profile, anatomy, name, seed)[:24]}.csv"
-            rows[path] = _kept(path)
+            rows[path] = _stored_rows(path)
             if rows[path] is None:
                 make_rows = partial(rows_of_letters, profile, letters, anatomy, name, seed)
                 missing.append((path, make_rows))
     done = len(rows) - len(missing)
-    with closing(_made([task for _, task in missing])) as finished:
+    with closing(_run_parallel([task for _, task in missing])) as finished:
         for index, finger_rows in finished:
             path = missing[index][0]
             write_bytes(path, as_csv(finger_rows).encode())
@@ -253,7 +253,7 @@ def run_study(
 
 
 def _beside(folder: Path, name: str) -> str | Path:
-    """Return the path of a file next to the study, or else the name unchanged."""
+    """Return the path of a file in a folder; if there is no such file, return the name."""
     there = folder / name
     return there if os.path.isfile(there) else name  # noqa: PTH113 (Path raises on long names)
 
@@ -264,14 +264,14 @@ def _key(digest: str | None, profile: Profile, anatomy: Anatomy, name: str, seed
     return hashlib.sha256(repr([VERSION, digest, name, seed, models]).encode()).hexdigest()
 
 
-def _made(
+def _run_parallel(
     work: Sequence[Callable[[], list[StudyRow]]],
 ) -> Generator[tuple[int, list[StudyRow]], None, None]:
-    """Yield the rows of each task when it is done, with the task's index."""
+    """Run tasks in parallel, and yield the index and the rows of each when it is done."""
     many = Parallel(n_jobs=-1, return_as="generator_unordered", max_nbytes=None)
     results = many(delayed(_numbered)(index, task) for index, task in enumerate(work))
     try:
-        for result in results:  # noqa: UP028 (close it below, not here)
+        for result in results:  # noqa: UP028 (yield from would close it outside catch_warnings)
             yield result
     finally:
         with warnings.catch_warnings():
@@ -284,32 +284,32 @@ def _numbered(index: int, rows: Callable[[], list[StudyRow]]) -> tuple[int, list
     return index, rows()
 
 
-def _kept(path: Path) -> list[StudyRow] | None:
+def _stored_rows(path: Path) -> list[StudyRow] | None:
     """Return the stored rows of a finger, or None if its file is missing or incomplete."""
     if not path.is_file():
         return None
     try:
         return from_csv(read_text(path, SmartTouchError, _MOST_PART_BYTES))
     except (SmartTouchError, ValueError, TypeError, csv.Error):
-        # Compute it again.
-        return None
+        return None  # compute the rows again
 
 
 MEASURES = ("error", "silent_points", "wrong_class", "misplaced")
 TABLE_NOTE = (
-    "Medians and middle 90 % over fingers, of means over letters: misread, silent points, "
-    "spikes of another class, misplaced spikes. mA: mean total current of a slot."
+    "Medians over fingers (middle 90 %) of means over letters: shares of misread letters (errors), "
+    "points without a spike nearby (silent), spikes of other classes (wrong) and spikes away from "
+    "the letter (misplaced); total current of a slot (mA)."
 )
 _CHOSEN = ("profile", "mode", "scan", "intensity")
 
 
 @dataclass(frozen=True)
 class Summed:
-    """Results of one combination on all fingers of one anatomy."""
+    """Summary of one combination on all fingers of one anatomy."""
 
     anatomy: str
-    label: str  # the combination, without values that are equal in the whole study
-    fingers: dict[str, list[float]]  # by measure: the mean over letters for each finger
+    label: str  # values of the combination that differ within the study
+    fingers: dict[str, list[float]]  # by measure: mean over letters, for each finger
     total_ma: float  # mean total current of a slot
 
     def interval(self, measure: str) -> tuple[float, float, float]:
@@ -318,13 +318,13 @@ class Summed:
 
 
 def study_sums(rows: Sequence[StudyRow]) -> list[Summed]:
-    """Return the results of each combination and anatomy, in the order of the rows."""
+    """Summarize the rows of each combination and anatomy, in the order of the rows."""
     differ = [name for name in _CHOSEN if len({getattr(row, name) for row in rows}) > 1]
     groups: dict[tuple[str, str], dict[int, list[StudyRow]]] = defaultdict(
         lambda: defaultdict(list)
     )
     for row in rows:
-        label = ", ".join(_said(row, name) for name in differ) or row.mode
+        label = ", ".join(_as_text(row, name) for name in differ) or row.mode
         groups[row.anatomy, label][row.finger].append(row)
     return [
         Summed(
@@ -351,7 +351,7 @@ def study_table(sums: Iterable[Summed]) -> tuple[list[str], list[list[str]]]:
     return heading, rows
 
 
-def _said(row: StudyRow, name: str) -> str:
+def _as_text(row: StudyRow, name: str) -> str:
     value = getattr(row, name)
     return f"{value:g}" if isinstance(value, float) else str(value)
 
@@ -360,21 +360,21 @@ def _mean(rows: Iterable[StudyRow], name: str) -> float:
     return ignore_nan(fmean, (getattr(row, name) for row in rows))
 
 
-_ANSWERS_WITHIN_S = 10
+_CONNECT_TIMEOUT_S = 10
 
 
 @contextmanager
 def on_cluster(address: str | None) -> Iterator[None]:
-    """Run the block on the Dask cluster of a scheduler (``tcp://HOST:8786``), or locally if None.
+    """Run the `with` block on the Dask cluster of a scheduler (``tcp://HOST:8786``), or locally.
 
-    The workers need this version of SmartTouch.
+    The workers of the cluster need the same version of SmartTouch.
     """
     if address is None:
         yield
         return
     dask = import_extra("distributed", "a cluster", "cluster")
     try:
-        client = dask.Client(address, timeout=_ANSWERS_WITHIN_S, set_as_default=False)
+        client = dask.Client(address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, ImportError) as error:
         raise SmartTouchError(
             f"no Dask scheduler answers at {address!r} ({error or type(error).__name__}): give its "

@@ -135,6 +135,6 @@ def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
 
 def test_a_missing_scheduler_is_an_error(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("smarttouch.experiments.study._ANSWERS_WITHIN_S", 0.2)
+    monkeypatch.setattr("smarttouch.experiments.study._CONNECT_TIMEOUT_S", 0.2)
     with raises(SmartTouchError, value="tcp://127.0.0.1:1"), on_cluster("tcp://127.0.0.1:1"):
         pass
