@@ -1,2 +1,2 @@
-"""Conversion of tactile images to scan sequences, which the safety gate proves before they are
-sent."""
+"""Conversion of tactile images to scan sequences. The safety gate proves that each sequence keeps
+all limits before it is sent."""

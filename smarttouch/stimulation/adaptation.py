@@ -1,8 +1,7 @@
-"""Impedance control: charge or energy stays constant while impedance drifts with sweat and
-pressure.
+"""Impedance control: keeps the charge or energy of pulses constant while skin impedance drifts.
 
-A source near its compliance delivers less than requested. At constant current, more voltage means
-more energy, which the paper keeps constant (Section IV-B).
+A current source near its compliance voltage delivers less than the requested charge. At constant
+current, higher impedance means more energy, which the paper keeps constant (Section IV-B).
 """
 
 from typing import Literal
@@ -14,27 +13,28 @@ from smarttouch.profile import Profile
 from smarttouch.stimulation.scan_sequence import ScanSequence, round_charge_balanced
 from smarttouch.stimulation.slots import Slots
 
-NEAR = 0.92  # share of the compliance above which a source counts as saturated
-FASTEST_FALL = 0.8
+NEAR = 0.92  # share of the compliance voltage above which a source counts as saturated
+FASTEST_FALL = 0.8  # smallest ratio of a site's currents at successive observations
 FASTEST_RISE = 1.05
-"""Largest ratio of a site's currents between observations: 0.3 s from half to full at 50 Hz."""
+"""Largest ratio of a site's currents at successive observations: doubles in 0.3 s at 50 Hz."""
 RESERVED = 0.5
-"""Initial share of the requested current if energy is held constant. Currents never exceed the
-request, so impedance can fall to a quarter before they reach it."""
+"""Initial share of the requested current if energy is held constant. Currents may rise to the full
+request, which they reach when impedance has fallen to a quarter."""
 FAINTEST_ENERGY = RESERVED / 4
-"""Smallest share of the requested current for constant energy: at 16 times the first impedance."""
-WORTHWHILE = 0.999  # factors above this are not applied
+"""Smallest share of the requested current if energy is held constant, reached at 16 times the first
+impedance."""
+WORTHWHILE = 0.999  # scale factors above this are so close to 1 that they are not applied
 
 Array = NDArray[np.float64]
-Hold = Literal["charge", "energy"]  # quantity to keep constant
+Hold = Literal["charge", "energy"]  # quantity that is kept constant
 
 
 class Adaptation:
-    """Estimates the impedance of each site, and adapts currents and widths.
+    """Controller of currents and pulse widths, by the measured voltage of each site.
 
-    To hold ``charge``, pulses near the compliance become weaker and longer; the board must allow a
-    width for each slot. To hold ``energy``, currents begin at `RESERVED`. They follow the square
-    root of the impedance ratio since the first observation, and never exceed the request.
+    To hold ``charge``, pulses near the compliance voltage become weaker and longer; the
+    board must allow a width for each slot. To hold ``energy``, a current is the request times
+    `RESERVED` times the root of first over present impedance, and at most the request.
     """
 
     def __init__(self, profile: Profile, hold: Hold, compliance_v: float) -> None:
@@ -44,7 +44,7 @@ class Adaptation:
         self._switched = profile.output.kind != "weighted"
         self._near_v = NEAR * compliance_v
         longest = profile.pulse.width_us / profile.limits.pulse_us
-        # Below this a reduction has no effect, and would only take long to recover.
+        # `apply` weakens full pulses no further, and a lower estimate would take long to recover.
         self._least_ua = longest * np.asarray(profile.threshold_ma, np.float64) * 1000
         self._highest_ua = np.full(sites, np.inf)
         self._first_kohm = np.full(sites, np.nan)
@@ -53,12 +53,12 @@ class Adaptation:
 
     @property
     def limited(self) -> tuple[int, ...]:
-        """Sites at which charge or energy is not held, because pulses cannot become longer or
+        """Sites where charge or energy is not constant, as pulses cannot become longer or
         stronger."""
         return tuple(np.flatnonzero(self._limited).tolist())
 
     def observe(self, sequence: ScanSequence, volts: NDArray[np.float32]) -> None:
-        """Update the estimates from the source's voltage at the end of each pulse, (S,)."""
+        """Update the estimates by the voltage of the source at the end of each pulse, (S,) V."""
         peak_ua = _peak_ua(sequence.current_ua)
         known = (peak_ua > 0) & np.isfinite(volts) & (np.asarray(volts) > 0)
         site, peak_ua = sequence.site[known].astype(np.intp), peak_ua[known]
@@ -70,11 +70,11 @@ class Adaptation:
             self._first_kohm[site[first]] = kohm[first]
             wanted = RESERVED * np.sqrt(self._first_kohm[site] / kohm)
             self._limited[site] = wanted > 1 / WORTHWHILE
-            # Limit the rise, also after a lifted finger returns.
+            # Limit the rise, also when a finger returns to the electrodes.
             wanted = np.fmin(wanted, FASTEST_RISE * self._factor[site])
             self._factor[site] = np.clip(wanted, FAINTEST_ENERGY, 1.0)
             return
-        # A saturated source does not show how much less is needed: reduce its last value stepwise.
+        # The voltage of a saturated source does not show its current: reduce the request stepwise.
         base_ua = np.where(near, peak_ua, self._highest_ua[site])
         ratio = peak_ua * self._near_v / needed_v / base_ua
         highest_ua = np.where(
@@ -83,9 +83,9 @@ class Adaptation:
         self._highest_ua[site] = np.maximum(highest_ua, self._least_ua[site])
 
     def apply(self, slots: Slots) -> Slots:
-        """Return adapted slots, in integer µA that sum to zero in each slot, and integer µs.
+        """Return slots with adapted currents and widths, in integer µA and µs.
 
-        No electrode carries more current than before, and no pulse exceeds the charge limit.
+        Currents sum to zero in each slot. No current rises, and no pulse exceeds the charge limit.
         """
         current_ua, width_us, limits = slots.current_ua, slots.width_us, self._limits
         site, peak_ua = slots.site.astype(np.intp), _peak_ua(current_ua)
@@ -97,7 +97,7 @@ class Adaptation:
         else:
             factor = self._factor[site]
         if self._switched:
-            # Weaker currents would round to insulated electrodes.
+            # With a smaller factor a current would round to zero and insulate its electrode.
             magnitude = np.abs(current_ua.astype(np.float64))
             least = 1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1)
             factor = np.maximum(factor, least)

@@ -1,4 +1,4 @@
-"""Cue on the border electrodes that leads a finger back to its line of print."""
+"""Tactile cue on the border electrodes that guides a finger back to the line of print."""
 
 import numpy as np
 
@@ -9,20 +9,21 @@ from smarttouch.imaging.registration import on_frame
 from smarttouch.imaging.tactile_mapper import TactileMapper
 from smarttouch.sources.source_contract import Frame
 
-_ANGLES_DEG = np.arange(-10, 10.1, 2.5)  # angles of lines that are tried
-_SAMPLES = 32  # rows and columns of the turned ink
+_ANGLES_DEG = np.arange(-10, 10.1, 2.5)  # candidate angles of text lines
+_SAMPLES = 32  # rows and columns of the rotated ink image
 
 
 class LineCueMapper(TactileMapper):
-    """Mapper whose result shows on the array's first or last row where the line of print is.
+    """Tactile mapper that also shows whether the line of print is above or below the finger.
 
-    The first row says up, the last row down, and neither while the middle of small letters is
-    within a quarter of the line's height. Raises ScheduleError for fewer than three rows.
+    It activates all electrodes of the first row if the line is above, or of the last row if it is
+    below. It adds nothing while the array's middle is within a quarter of the line height of the
+    middle of the lowercase letters. Raises ScheduleError for arrays of fewer than three rows.
     """
 
     line: tuple[float, float, float] | None = None
-    """Nearest line in the latest frame, if any: baseline, mm down the page from the array's middle,
-    x-height, mm, and angle to the array's rows, degrees clockwise."""
+    """Line nearest to the array's middle in the latest frame, or None: baseline, mm below that
+    middle; x-height, mm; and angle to the array's rows, degrees clockwise."""
 
     def _prepare(self, shape: tuple[int, int]) -> None:
         super()._prepare(shape)
@@ -41,21 +42,21 @@ class LineCueMapper(TactileMapper):
         column, row = (np.nan_to_num(side).clip(0, 1 - 1e-9) for side in places)
         self._pixel = (row * height).astype(np.intp) * width + (column * width).astype(np.intp)
         self._step_mm = height_mm / _SAMPLES
-        self._x_rows = 0.4 * _SAMPLES  # mean x-height
+        self._x_rows = 0.4 * _SAMPLES  # running mean of the x-height, in rows
 
     def map(self, frame: Frame, mode: Mode) -> TactileImage:
         tactile = super().map(frame, mode)
         self._find_line()
         if self.line is not None:
             baseline_mm, x_mm, _ = self.line
-            # A line is twice as high as its small letters.
+            # The line height is taken as twice the x-height.
             if abs(off_mm := baseline_mm - x_mm / 2) > x_mm / 2:
                 tactile.activation[mode.afferents[0], self._border[off_mm > 0]] = 1
         return tactile
 
     def _find_line(self) -> None:
-        """Find the line nearest to the array's middle: dark rows of the ink, turned so that its
-        rows differ most."""
+        """Find the line nearest to the array's middle: rotate the ink until its rows differ most,
+        then search for dark rows."""
         turned = self._inked.reshape(-1).take(self._pixel).mean(axis=2, dtype=np.float32) / 255
         steepest = int(np.square(np.diff(turned)).sum(axis=1).argmax())
         angle_deg = float(_ANGLES_DEG[steepest])
@@ -66,7 +67,7 @@ class LineCueMapper(TactileMapper):
         for first, end in zip(edges[::2], edges[1::2], strict=True):
             if first > 0 and _SAMPLES > end > first + _SAMPLES / 5:
                 self._x_rows += 0.1 * (end - first - self._x_rows)
-            # A line that is cut by the lower edge has its baseline below it.
+            # If the lower edge cuts a line off, estimate its baseline by the x-height.
             base = end if end < _SAMPLES else first + max(self._x_rows, end - first)
             if 1 < end - first < _SAMPLES:
                 baseline_mm = (base - _SAMPLES / 2) * self._step_mm

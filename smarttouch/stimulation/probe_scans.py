@@ -1,8 +1,8 @@
 """Scans that measure the impedances of electrodes.
 
 A board with one source drives each electrode in turn against all others. A board with a source for
-each electrode drives pairs of near electrodes: with more, one open electrode would saturate the
-voltage.
+each electrode drives pairs of near electrodes: in a larger group, one electrode without contact
+would saturate the voltage.
 """
 
 from collections.abc import Iterator
@@ -18,34 +18,37 @@ PROBE_MA = 0.5
 PROBE_US = 50
 _DISCHARGE_US = 100
 _STEPS = 20
-_SLOWEST_US = 20_000  # period that gives each board time to answer
-_SWITCHING_US = 30  # largest additional time of a slot by switching
-_PAIRS = 4  # number of pairs of each electrode, with the next ones
+_SLOWEST_US = 20_000  # period in which every board can report its voltages
+_SWITCHING_US = 30  # longest time that switching adds to a slot
+_PAIRS = 4  # number of following electrodes with which each one forms a pair
 
 
 def probe_sequences(
     limits: SafetyLimits, output: Output | None, *, in_pairs: bool
 ) -> Iterator[ScanSequence]:
-    """Yield scans that rise from zero to `PROBE_MA`; the last one is the measurement.
+    """Yield scans of rising current, from zero to at most `PROBE_MA`; measure with the last.
 
-    Each slot drives an electrode against all others, or in pairs against one near it, so that each
-    electrode carries equal charges of both signs in a scan. Masked electrodes carry nothing, as an
-    open one would saturate the voltage. The ramp limit is kept if each scan is delivered
-    completely.
+    Each slot drives one electrode against all others or, ``in_pairs``, against one near it. In each
+    scan an electrode carries equal charges of both signs. Masked electrodes carry no current, as
+    they would saturate the voltage if they lack contact. The ramp limit is kept if the board
+    delivers each scan completely.
     """
     most_ma = min(limits.current_ma, limits.full_ma, *(limits.electrode_ma or ()))
     peak_ma = min(PROBE_MA, 0.9 * most_ma)
     if peak_ma < 0.02:
-        raise BoardError(f"the limits allow {peak_ma * 1000:.0f} µA: too little to measure with")
+        raise BoardError(
+            f"the limits allow {peak_ma * 1000:.0f} µA, and a measurement needs 20 µA: raise "
+            "the current limits of the profile"
+        )
     top, sites = peak_ma / limits.full_ma, np.delete(np.arange(limits.electrodes), limits.masked)
     turns = range(1, min(_PAIRS, len(sites) // 2) + 1) if in_pairs else [1]
     driven = np.tile(sites, len(turns))
     returns = [back for turn in turns for back in np.roll(sites, -turn)[:, None]]
     if not in_pairs:
-        # Start at the driven electrode: the next ones carry the rounding remainder.
+        # Begin after the driven electrode, to spread the rounding remainder over all electrodes.
         returns = [np.roll(sites, -at)[1:] for at in range(len(sites))]
     slot_us = max(PROBE_US + _DISCHARGE_US, int(np.ceil(PROBE_US / limits.duty))) + _SWITCHING_US
-    # Only passes with current count toward the ramp.
+    # The ramp rises only during scans with current, so each scan must last for one step of it.
     step_us = max(_SLOWEST_US, int(np.ceil(1.05e6 * limits.ramp_s * top / _STEPS)))
     period_us = max(step_us, int(np.ceil(1e6 / limits.rate_hz)), len(driven) * slot_us)
     sign = 1 if output is None or "cathodic" in output.polarities else -1

@@ -1,9 +1,9 @@
 """Charge balance by reversed polarity, or by a long weak recharge phase in each scan.
 
-The recharge current is at most a tenth of each electrode's threshold, so it cannot be felt. Long
-pulses need less current than short ones, and neighboring currents add up. By Weiss's law, the
-recharge phase of a letter reaches at most 0.27 of an afferent's threshold on the electric mouse,
-and 0.44 on the denser Optacon.
+The recharge current of an electrode is at most a tenth of its threshold for pulses. A long phase
+has a lower threshold, and currents of neighboring electrodes add up. Still the phase cannot be
+felt: by Weiss's law, the recharge phase of a letter reaches at most 0.27 of an afferent's threshold
+on the electric mouse, and 0.44 on the denser electrodes of the Optacon.
 """
 
 from dataclasses import dataclass, replace
@@ -29,9 +29,9 @@ _LOWEST = np.iinfo(np.int16).min
 class ChargeBalance:
     """Ledger of the net charge through each electrode.
 
-    It counts current times width of all pulses and recharge phases. Discharge through the short
-    circuit after a pulse is unknown and not counted. `charge_pc`, (E,) int64, positive cathodic, is
-    exact.
+    It counts current times width of all pulses and recharge phases, but not the unknown charge that
+    flows back in the short circuit after a pulse. `charge_pc`, (E,) int64, positive cathodic, is
+    the exact sum.
     """
 
     def __init__(self, electrodes: int) -> None:
@@ -48,28 +48,28 @@ class ChargeBalance:
         return float(np.abs(self.charge_uc).max(initial=0.0))
 
     def add(self, sequence: ScanSequence, times: int = 1) -> None:
-        """Add a sequence that is delivered ``times`` times."""
+        """Add the charge of a sequence that is delivered ``times`` times."""
         self.charge_pc += times * net_charge_pc(sequence)
 
     def balancing(self, sequence: ScanSequence) -> ScanSequence:
         """Return a sequence or its reversal, whichever leaves the smaller sum of squared charges.
 
-        This is for boards without recharge phases (`add_recharge`), but with both polarities. The
-        reversal has the opposite currents at the same sites, so it keeps the same limits. **It
-        stimulates the other class**: currents for RA stimulate SAI when reversed, and vice versa
-        (Fig. 10). It has no proof of selectivity. The ledger is not changed.
+        Use this for boards of both polarities that cannot make recharge phases (`add_recharge`).
+        The reversal has opposite currents at the same sites, and keeps the same limits. **The
+        reversal stimulates another class**: reversed currents for RA stimulate SAI, and vice versa
+        (paper, Fig. 10). It has no proof of selectivity. The ledger does not change.
         """
         if self.charge_uc @ (net_charge_pc(sequence) * 1e-6) <= 0:
             return sequence
         if sequence.current_ua.min() == _LOWEST:
-            # This value cannot be negated in 16 bits; no profile allows 32 mA anyway.
+            # -32,768 cannot be negated in 16 bits; no profile allows 32 mA anyway.
             return sequence
         return replace(sequence, current_ua=-sequence.current_ua, proof=None)
 
 
 def net_charge_pc(sequence: ScanSequence) -> NDArray[np.int64]:
     """Return the charge of one scan through each electrode, (E,) pC, positive cathodic."""
-    # Integers far below 2**53: this product is exact, and faster than with int64.
+    # With integers far below 2**53 a float64 product is exact; it is faster than an int64 one.
     widths = sequence.width_us.astype(np.float64)
     net = (widths @ sequence.current_ua.astype(np.float64)).astype(np.int64)
     if sequence.recharge_ua is not None:
@@ -78,7 +78,7 @@ def net_charge_pc(sequence: ScanSequence) -> NDArray[np.int64]:
 
 
 _PLANNED_UA = round(1000 * PLANNED * CEILING_MEAN_MA)
-"""Largest planned mean current of an electrode."""
+"""Largest planned mean current of an electrode, µA."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,64 +100,64 @@ class RechargeRules:
 def add_recharge(
     sequence: ScanSequence, carried_pc: NDArray[np.int64], rules: RechargeRules
 ) -> ScanSequence:
-    """Add a recharge phase that returns the net charge, (E,) pC, to zero.
+    """Return a sequence with a recharge phase that brings the net charge of electrodes to zero.
 
-    No electrode returns more than it carries. By rounding to µA, each electrode may keep up to 1 µA
-    times the width, and the strongest one the sum of these; charge beyond the limits also stays.
-    The phase is as short as its limits allow; the period becomes longer if necessary. Slots do not
-    change, and a sequence without slots is returned unchanged.
+    ``carried_pc``, (E,), is the net charge before the sequence. No electrode returns more than it
+    carries. Charge that the limits or the rounding to integer µA leave over stays. The phase is as
+    short as its limits allow; the period becomes longer if necessary. Slots do not change, and a
+    sequence without slots is returned unchanged.
     """
     wanted_pc = -(carried_pc + net_charge_pc(sequence))
     asked_pc = np.abs(wanted_pc)
     most_ua = rules.most_ua
     if not sequence.slots or not (asked_pc * most_ua).any():
         return sequence
-    # The slowest electrode determines the width, up to the limit.
+    # The electrode that needs most time determines the width, up to the limit.
     able = most_ua > 0
     needed_us = -(-asked_pc[able] // most_ua[able])
     allowed_us = np.minimum(MOST_RECHARGE_PC // most_ua[able], MOST_RECHARGE_US)
     width_us = int(np.minimum(needed_us, allowed_us).max())
     most_ua = np.minimum(most_ua, MOST_RECHARGE_PC // width_us)
-    # Exact in 53 bits, as the net charge.
+    # With integers far below 2**53 the float64 product is exact.
     widths = sequence.width_us.astype(np.float64)
     passed_pc = (widths @ np.abs(sequence.current_ua.astype(np.float64))).astype(np.int64)
     most_pc = passed_pc + np.minimum(asked_pc, most_ua * width_us)
     period_us = max(
         sequence.period_us,
         _fitting_us(sequence, width_us, rules),
-        # the period at which no electrode exceeds the planned mean current
+        # the shortest period in which no electrode exceeds the planned mean current
         rules.timing.shortest_period_us(min(BURST_US, -(-int(most_pc.max()) // _PLANNED_UA))),
     )
     room_pc = np.maximum(_PLANNED_UA * min(period_us, BURST_US) - passed_pc, 0)
     most_ua = np.minimum(most_ua, room_pc // width_us)
-    current_ua = _whole_ua(wanted_pc, most_ua, width_us, rules.total_ua)
+    current_ua = _recharge_ua(wanted_pc, most_ua, width_us, rules.total_ua)
     if not current_ua.any():
         return sequence
     return replace(sequence, recharge_ua=current_ua, recharge_us=width_us, period_us=period_us)
 
 
-def _whole_ua(
+def _recharge_ua(
     wanted_pc: NDArray[np.int64], most_ua: NDArray[np.int64], width_us: int, total_ua: int
 ) -> NDArray[np.int16]:
-    """Return currents in integer µA that sum to zero, within their limits and the wanted charge."""
+    """Return recharge currents in integer µA that sum to zero and exceed neither their limits nor
+    the wanted charge, (E,)."""
     within_ua = np.sign(wanted_pc) * np.minimum(np.abs(wanted_pc) // width_us, most_ua)
     surplus = int(within_ua.sum())
     larger = np.flatnonzero(within_ua * surplus > 0)
     if surplus and abs(surplus) <= len(larger):
-        # Take the rounding remainder from the electrodes with the smallest rounding errors, 1 µA
-        # each.
+        # Reduce the electrodes with the smallest rounding errors by 1 µA each.
         rest_pc = np.abs(wanted_pc - within_ua * width_us)[larger]
         within_ua[larger[np.argsort(rest_pc, kind="stable")[: abs(surplus)]]] -= np.sign(surplus)
     poles_ua = np.cumsum([np.maximum(within_ua, 0), np.maximum(-within_ua, 0)], axis=1)
     shared_ua = min(int(poles_ua[0, -1]), int(poles_ua[1, -1]), total_ua)
-    # Scale cumulative sums and round down: the last sum is exact, and no electrode gets more than
-    # before.
+    # Scaled and rounded down, the cumulative sums of both signs have the same total, and no current
+    # becomes larger.
     cathodic, anodic = (pole * shared_ua // max(1, int(pole[-1])) for pole in poles_ua)
     return np.asarray(np.diff(cathodic - anodic, prepend=0), np.int16)
 
 
 def _fitting_us(sequence: ScanSequence, width_us: int, rules: RechargeRules) -> int:
-    """Return the shortest period that fits a recharge phase and a short circuit after it."""
+    """Return the shortest period that fits the slots, a recharge phase and a short circuit."""
     timing = rules.timing
     slots_us = timing.shortest_period_us(
         0,

@@ -1,5 +1,5 @@
-"""The safety gate, which checks all limits on a frozen copy of each scan sequence; and the ramp,
-which limits the current by the pulses since zero intensity."""
+"""Safety gate, which checks all limits on a frozen copy of each scan sequence, and ramp, which
+limits how fast the strength of sequences rises from zero."""
 
 from contextlib import AbstractContextManager
 from copy import copy
@@ -18,19 +18,20 @@ from smarttouch.stimulation.sequence_limits import Dose, Exposure, prove_sequenc
 
 __all__ = ["ProvedSequence", "Ramp", "SafetyGate", "SafetyLimits"]
 
-LEEWAY_PPB = 1000  # tolerance for rounding
+LEEWAY_PPB = 1000  # tolerance for rounding errors
 LEVEL_KEPT_NS = 15_000_000_000
-"""Time without current for which a level is kept: an experiment waits for an answer meanwhile, with
-the finger in contact."""
+"""Time without current after which the ramp restarts at zero. Meanwhile an experiment can wait for
+an answer, with the finger in contact."""
 PLANNED_KEPT_NS = LEVEL_KEPT_NS - 1_000_000_000
-"""The same for planning, shorter, because the sequence is written a little later."""
+"""Time without current after which plans restart at zero. It is shorter than `LEVEL_KEPT_NS`, as a
+planned sequence is written later."""
 FIRST_NS = 20_000_000
 MOST_STEP_NS = 80_000_000
-"""Time on the ramp at which the first pulses begin, unless these would be too weak; and the largest
-step between sequences."""
+"""Times that the ramp needs for the first and for the largest planned step of strength. The
+scheduler makes the first step larger if its pulses would round to zero."""
 AHEAD_NS = 85_000_000
-"""Time on the ramp by which a planned pulse may be ahead of delivered ones: sequences may be late
-and catch up 100 ms."""
+"""Largest lead of planned over delivered strength, as the time that the ramp needs for it. The gate
+allows 100 ms, so that late sequences can catch up."""
 
 _ARRAYS = (
     ("current_ua", np.dtype(np.int16), 2, True),
@@ -40,23 +41,21 @@ _ARRAYS = (
     ("vibration", np.dtype(np.float32), 1, False),
     ("recharge_ua", np.dtype(np.int16), 1, False),
 )
-"""Arrays of a sequence: type, number of dimensions, and whether they have a row for each slot;
-others may be None."""
-
+"""Arrays of a sequence: name, type, number of dimensions, and whether the array has a row for each
+slot. Arrays without such rows may be None."""
 
 WAITS_NS = 5_000_000_000
-"""Longest wait of a sequence for its turn, in addition to four of its periods and its repetitions:
-a kit that lost a command needs more than 2 s to resynchronize."""
+"""Longest time that a sequence may wait until it is written, beyond its repetitions and four of its
+periods. A board that lost a command needs more than 2 s to resynchronize."""
 
 
 class Ramp:
-    """Ramp: the largest allowed strength, by the sequences that were written, in integer ppb of
-    full strength.
+    """Slew limit of the strength of sequences, in integer parts per billion (ppb) of full strength.
 
-    The level rises only during passes with current, in real time, and up to their strength
-    (`strength_ppb`). From zero to full takes at least ``ramp_ns``; one late step may be caught up.
-    Without current the level is kept for `LEVEL_KEPT_NS`; weak current does not lower it. Times are
-    from ``clock``, or else as claimed by sequences.
+    The level rises only while passes with current are delivered, and at most to their strength (see
+    `sequence_limits.strength_ppb`). From zero to full it takes at least ``ramp_ns``. To catch up, a
+    sequence may exceed the level by the rise in `LATE_NS`. After `LEVEL_KEPT_NS` without current
+    the level is zero; weak current does not lower it. Times come from ``clock`` or the sequences.
     """
 
     def __init__(self, ramp_ns: int, clock: Clock | None = None) -> None:
@@ -75,16 +74,16 @@ class Ramp:
             self._newest_ns = -(2**63)
 
     def claim(self, ppb: int, strength_ppb: int, now_ns: int) -> None:
-        """Record a proved sequence for planning, although it may not be written yet.
+        """Record the intensity of a proved sequence, from which the next intensity is planned.
 
-        The next intensity is planned from this one, which is 0 after a lifted finger.
+        The sequence may not be written yet. After a lifted finger its intensity is 0.
         """
         self._begun, self._newest_ns = True, now_ns
         self._claimed_ppb = ppb if strength_ppb else min(ppb, self._claimed_ppb)
 
     def open_at(self, claimed_ns: int, kept_ns: int = LEVEL_KEPT_NS) -> tuple[int, int]:
-        """Return the start time of a sequence that begins now, and the level that the ramp has
-        opened by then, without the allowance for catching up."""
+        """Return the present time, which never goes back, and the level at that time, without the
+        allowance for catching up."""
         # If the clock goes back, treat it as stopped.
         clock_ns = claimed_ns if self._clock is None else self._clock.now_ns()
         now_ns = max(clock_ns, self._newest_ns)
@@ -96,7 +95,7 @@ class Ramp:
         return now_ns, max(self._level_ppb, min(self._strength_ppb, risen_ppb))
 
     def open_level(self, claimed_ns: int) -> float:
-        """Return the strength, in [0, 1], allowed at once after a pause."""
+        """Return the strength, in [0, 1], at which a run can continue after a pause."""
         with self.lock:
             _, open_ppb = self.open_at(claimed_ns, PLANNED_KEPT_NS)
             return min(self._claimed_ppb, open_ppb) / PPB
@@ -109,15 +108,15 @@ class Ramp:
             now_ns, open_ppb = self.open_at(claimed_ns, PLANNED_KEPT_NS)
             if not open_ppb:
                 return FIRST_NS / self._ramp_ns
-            # Only time with pulses counts.
+            # The level rises only in time with current.
             step_ns = min(now_ns - self._since_ns, self._left_ns, MOST_STEP_NS)
             step_ns = max(step_ns, 0 if self._claimed_ppb else FIRST_NS)
             risen_ppb = self._claimed_ppb + step_ns * PPB // self._ramp_ns
             return min(PPB, risen_ppb, open_ppb + AHEAD_NS * PPB // self._ramp_ns) / PPB
 
     def permits(self, strength_ppb: int, claimed_ns: int, open_ppb: int | None = None) -> bool:
-        """Return whether a sequence of this strength may begin now; `LATE_NS` may be caught up.
-        ``open_ppb`` is the level from `open_at`, if known."""
+        """Return whether a sequence of this strength may begin now. It may exceed the level by the
+        rise in `LATE_NS`, to catch up. ``open_ppb`` is the level from `open_at`, if known."""
         with self.lock:
             most_ppb = LEEWAY_PPB
             if self._begun:
@@ -126,11 +125,11 @@ class Ramp:
             return strength_ppb <= most_ppb
 
     def note(self, ppb: int, strength_ppb: int, claimed_ns: int, lasting_ns: int) -> None:
-        """Record a written sequence. A lower claimed intensity, ``ppb``, lowers the level. Its
-        strength limits the rise, and ``lasting_ns`` is the time of its passes, including
-        repetitions."""
+        """Record a written sequence, whose passes take ``lasting_ns``. If the level is above its
+        intensity, ``ppb``, the level falls to that. From then the level rises at most to the
+        strength of the sequence."""
         with self.lock:
-            # The board finishes the current pass and drops repetitions.
+            # When a sequence arrives, the board finishes its current pass and drops repetitions.
             now_ns, open_ppb = self.open_at(claimed_ns)
             gone_ns = max(0, now_ns - self._since_ns)
             left_ns = self._left_ns - gone_ns
@@ -153,13 +152,13 @@ class ProvedSequence:
     sequence : ScanSequence
         The frozen copy that was proved.
     times : int
-        Number of passes, unless a newer sequence arrives.
+        Number of passes; a newer sequence ends them early.
     number : int
         Number of the sequence on its board.
     due_ns, write_before_ns : int
         Planned start, and latest time of writing, by the board's clock.
     session : int
-        Session of the gate in which it was proved.
+        Number of the session in which the gate proved the sequence.
     strength_ppb : int
         See `sequence_limits.strength_ppb`.
     peak_ua : int
@@ -176,27 +175,27 @@ class ProvedSequence:
     peak_ua: int
 
     def __init__(self, *_: object, **__: object) -> None:
-        raise SafetyError("only the safety gate can prove a sequence", limit="gate")
+        raise SafetyError("only the safety gate proves sequences: use Board.send", limit="gate")
 
 
 class SafetyGate:
-    """Proves successive sequences, by the clock of the display.
+    """Gate that proves each sequence safe before a board may write it.
 
     Parameters
     ----------
     limits : SafetyLimits
         Limits of every sequence.
     clock : Clock, optional
-        Clock of the display. Without it, for checks without a board, time is as claimed by
-        sequences.
+        Clock of the display. Without it, for checks without a board, the times stated in sequences
+        count.
     """
 
     def __init__(self, limits: SafetyLimits, clock: Clock | None = None) -> None:
         self.limits: SafetyLimits = limits
         self.ramp: Ramp = Ramp(limits.ramp_ns, clock)
-        """Ramp of written sequences, used for planning and before writing."""
+        """Ramp by which sequences are planned, and checked again before they are written."""
         self.session: int = 0
-        """Number of the session; sequences proved in another session are not written."""
+        """Number of the present session; boards reject sequences of other sessions."""
         self._clock = clock
         self._exposure = Exposure(limits)
         self.restart()
@@ -212,7 +211,7 @@ class SafetyGate:
         return self._exposure.net_pc
 
     def restart(self) -> None:
-        """Restart the ramp within the session; sequence time may start again at zero."""
+        """Restart the ramp within the session; the next sequence may have time 0 again."""
         self.ramp.restart()
         self._time_ns: int | None = None
         self._noted: ScanSequence | None = None  # last written sequence
@@ -220,12 +219,12 @@ class SafetyGate:
             self._exposure.forget_second()
 
     def net_rest_ns(self) -> int:
-        """Return how long a new session must wait: see `Exposure.net_rest_ns`."""
+        """Return how long a new session must wait, ns; see `Exposure.net_rest_ns`."""
         with self.ramp.lock:
             return 0 if self._clock is None else self._exposure.net_rest_ns(self._clock.now_ns())
 
     def begin_session(self) -> None:
-        """Start at zero intensity with zero dose; the last second still counts."""
+        """Start a session with zero intensity and dose; the last second of pulses still counts."""
         now_ns = None if self._clock is None else self._clock.now_ns()
         self._exposure.begin_session(now_ns)
         self.session += 1
@@ -250,7 +249,7 @@ class SafetyGate:
         number : int
             Number of the sequence on its board.
         due_ns, late_ns : int
-            Planned start by the board's clock, and the delay after which it is not sent.
+            Planned start by the board's clock, and delay after which the sequence is not sent.
 
         Raises
         ------
@@ -260,9 +259,9 @@ class SafetyGate:
         with self.ramp.lock:
             times = times if type(times) is int else _whole(times, "times")
             if times < 1:
-                raise SafetyError(f"{times} repetitions: there must be one at least", limit="times")
+                raise SafetyError(f"times is {times}, must be 1 or more", limit="times")
             sequence = frozen(sequence)
-            # Other values are rejected below.
+            # `prove_sequence` rejects other intensities.
             ppb = parts_per_billion(sequence.intensity) if 0 <= sequence.intensity <= 1 else 0
             load = prove_sequence(sequence, self.limits, ppb)
             time_ns, strength_ppb = sequence.time_ns, load.strength_ppb
@@ -284,19 +283,19 @@ class SafetyGate:
             return proved
 
     def check(self, sequence: ScanSequence, times: int = 1) -> ScanSequence:
-        """Prove a sequence without a board; it counts as written. Raises errors like `prove`."""
+        """Prove a sequence without a board, and count it as written. Raises errors like `prove`."""
         proved = self.prove(sequence, times)
         self.note(proved)
         return proved.sequence
 
     def repeated(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
-        """Return a proved sequence with a later start: a repetition timed by the host, or a
-        sequence that waited for its turn.
+        """Return a proved sequence with a later start, for a repetition timed by the host or after
+        a wait.
 
         Raises
         ------
         SafetyError
-            If the start is later than repetitions and the longest wait allow.
+            If the start is later than the repetitions and `WAITS_NS` allow.
         """
         period_ns = 1000 * proved.sequence.period_us
         latest_ns = proved.due_ns + (proved.times + 4) * period_ns + WAITS_NS
@@ -310,7 +309,7 @@ class SafetyGate:
         return later
 
     def note(self, proved: ProvedSequence) -> None:
-        """Record that a proved sequence was written; parts and repetitions count once."""
+        """Record that a proved sequence was written. Its parts and repetitions count once."""
         sequence = proved.sequence
         if sequence is not self._noted:
             self._noted = sequence
@@ -326,8 +325,8 @@ def _whole(value: Any, name: str) -> int:
 
 
 def frozen(sequence: ScanSequence) -> ScanSequence:
-    """Return an immutable copy, with arrays backed by bytes and plain ints. Raises SafetyError if a
-    field has a wrong type or shape."""
+    """Return an immutable copy: arrays are backed by bytes, integers are plain ints. Raises
+    SafetyError if a field has a wrong type or shape."""
     fields: dict[str, Any] = {"proof": sequence.proof, "sums": sequence.sums}
     slots: int | None = None
     for name, kind, dimensions, of_slots in _ARRAYS:

@@ -31,8 +31,7 @@ from smarttouch.profile.device import Output
 
 PPB = 1_000_000_000  # intensities are compared in parts per billion
 LONGEST_RAMP_S = 10.0
-RECHARGE_UA = 500
-"""Largest current of a recharge phase, a tenth of the ceiling of 5 mA."""
+RECHARGE_UA = 500  # largest recharge current of an electrode: a tenth of the ceiling of 5 mA
 _DISC_MM2 = math.pi / 4
 
 Each = float | tuple[float, ...]  # one value for all electrodes, or one for each
@@ -46,33 +45,33 @@ class SafetyLimits:
     ----------
     electrodes : int
     current_ma, pulse_us, charge_uc : float
-        Limits of one pulse of one electrode.
+        Limits of one pulse at one electrode.
     rate_hz, duty : float
         Sequences per second, and share of the time with current.
     ramp_s : float
         Shortest time from zero to full intensity.
     full_ma : float
-        Strongest current at intensity 1; the bound scales with intensity.
+        Largest current at intensity 1; the limit is proportional to intensity.
     total_ma : float
-        Total current of all cathodes in one slot.
+        Largest total current of all cathodes in one slot.
     electrode_ma : tuple of float, optional
-        Current of each electrode.
+        Largest current of each electrode.
     area_mm2 : float or tuple of float
         Areas of electrodes; by default a disc of 1 mm.
     threshold_ma : float or tuple of float, optional
-        Detection thresholds; by default half of ``full_ma``. Pulses from half of the threshold
+        Detection thresholds; by default half of ``full_ma``. Pulses of at least half a threshold
         count as perceptible.
     density_uc_cm2 : float
-        Charge of a pulse per area of the electrode.
+        Largest charge of a pulse per area of the electrode.
     session_s, session_mc : float
-        Time with current, and charge through an electrode, from opening to closing the board.
+        Longest time with current, and largest charge through an electrode, while the board is open.
     one_source : bool
         Whether one source drives all electrodes. Then the total current must be safe for a single
         electrode, as the others may lose contact.
     masked : tuple of int
-        Electrodes without current.
+        Electrodes that carry no current.
     width_us : float, optional
-        Width of a full pulse, to whose charge strength refers; by default ``pulse_us``.
+        Width of a pulse of full strength; by default ``pulse_us``.
 
     Raises
     ------
@@ -127,7 +126,7 @@ class SafetyLimits:
             entries = values if isinstance(values, tuple) else (values,)
             if entries is values and name != "masked" and len(entries) != self.electrodes:
                 raise SafetyError(
-                    f"limit {name} lists {len(entries)} of {self.electrodes} electrodes",
+                    f"limit {name} has {len(entries)} values for {self.electrodes} electrodes",
                     limit=name, value=len(entries), allowed=self.electrodes,
                 )  # fmt: skip
             for value in entries:
@@ -150,12 +149,10 @@ class SafetyLimits:
         )  # fmt: skip
 
     def on(self, output: Output | None) -> "SafetyLimits":
-        """Return the limits on a board with this output."""
+        """Return these limits for a board with this output, which may have a single source."""
         if output is None or output.kind == "weighted" or self.one_source:
             return self
         return replace(self, one_source=True)
-
-    # -- in whole numbers --------------------------------------------------
 
     @cached_property
     def current_ua(self) -> NDArray[np.float64]:
@@ -166,14 +163,14 @@ class SafetyLimits:
         return self._unmasked(np.array(limit_ua, np.float64))
 
     def _unmasked(self, values: NDArray[np.generic]) -> NDArray[Any]:
-        """Return limits of electrodes, with zero for masked ones."""
+        """Set the limits of masked electrodes to zero, and return the array."""
         values[list(self.masked)] = 0
         return values
 
     @cached_property
     def charge_pc(self) -> NDArray[np.float64]:
-        """Largest charge of a pulse of each electrode, (E,) pC: the smallest of the limits of
-        charge, density and Shannon's k."""
+        """Largest charge of a pulse at each electrode, (E,) pC: the smallest of the limits of
+        charge, charge density and Shannon's k."""
         area = np.broadcast_to(np.asarray(self.area_mm2, np.float64), (self.electrodes,))
         charge = float(decimal(self.charge_uc) * 10**6)
         density = self.density_uc_cm2 * area * 1e4
@@ -199,7 +196,7 @@ class SafetyLimits:
 
     @cached_property
     def duty_ratio(self) -> tuple[int, int]:
-        """Duty as a ratio of integers."""
+        """Largest share of the time with current, as a ratio of integers."""
         return decimal(self.duty).as_integer_ratio()
 
     @cached_property
@@ -208,7 +205,7 @@ class SafetyLimits:
 
     @cached_property
     def rounding_ua(self) -> Fraction:
-        """Largest rounding error of the electrode that balances the others."""
+        """Largest rounding error of the electrode that balances the others, µA."""
         return Fraction(self.electrodes, 2) + 1
 
     @cached_property
@@ -217,7 +214,7 @@ class SafetyLimits:
 
     @cached_property
     def width_whole_us(self) -> int:
-        """Width of a full pulse."""
+        """Width of a pulse of full strength, µs."""
         width_us = self.pulse_us if self.width_us is None else self.width_us
         return max(1, math.floor(decimal(min(width_us, self.pulse_us))))
 
@@ -233,7 +230,7 @@ class SafetyLimits:
 
     @cached_property
     def felt_ua(self) -> NDArray[np.float32]:
-        """Current above which a pulse of each electrode counts as perceptible, (E,) µA."""
+        """Smallest perceptible current of a pulse at each electrode, (E,) µA."""
         felt_ua = [math.ceil(Fraction(threshold) * 500) for threshold in self._thresholds]
         return np.array(felt_ua, np.float32)
 
@@ -249,18 +246,18 @@ class SafetyLimits:
 
 
 def _check(name: str, value: float, least: float, most: float) -> None:
-    """Raise SafetyError unless a limit is within its range. A range from 0.0 excludes 0; a range
-    from an int requires an integer."""
+    """Raise SafetyError unless a limit is from ``least`` to ``most``. The value 0.0 is an error;
+    with an int as ``least``, the limit must be an int."""
     if isinstance(least, int):
         fits = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-        fits, words = fits and least <= value <= most, "a whole number from"
+        fits, words = fits and least <= value <= most, "a whole number, at least"
     else:
         # Reject NaN: every comparison with it is false, so it would not limit anything.
         fits = (least <= value if least else value > 0) and value <= most < math.inf
-        words = "from" if least else "above"
+        words = "at least" if least else "above"
     if not fits:
         raise SafetyError(
-            f"limit {name} = {value!r} must be {words} {least:g} to {most:g}",
+            f"limit {name} = {value!r} must be {words} {least:g} and at most {most:g}",
             limit=name, value=value, allowed=most,
         )  # fmt: skip
 
@@ -273,7 +270,7 @@ def recharge_most_ua(threshold_ma: NDArray[np.floating]) -> NDArray[np.int64]:
 
 
 def rms_ma_cm2(profile: Profile) -> float:
-    """Return the r.m.s. current density of the strongest electrode's pulses, mA/cm²."""
+    """Return the largest r.m.s. current density of any electrode at full intensity, mA/cm²."""
     share = profile.pulse.width_us * 1e-6 * profile.pulse.rate_hz
     densest = float((profile.full_ma / (profile.electrodes.area_mm2 / 100)).max())
     return densest * math.sqrt(share)
@@ -281,7 +278,7 @@ def rms_ma_cm2(profile: Profile) -> float:
 
 @lru_cache(maxsize=256)
 def decimal(value: float) -> Fraction:
-    """Convert a number by its decimal notation: 2.4 is exactly 12/5."""
+    """Convert a number by its decimal notation, so that 2.4 becomes exactly 12/5."""
     return Fraction(repr(float(value)))
 
 
@@ -293,57 +290,58 @@ def parts_per_billion(intensity: float) -> int:
 
 
 _SENTENCES = {
-    "electrodes": "currents are for {value} electrodes, must be for {allowed}",
+    "electrodes": "currents are for {value} electrodes, not {allowed}: use the board's profile",
     "intensity": "intensity {value} must lie between 0 and {allowed}",
     "time_ns": "time {value} ns must be from 0 to below {allowed}",
     "vibration": "vibration has {value} values: give one for each of {allowed} electrodes",
-    "vibrates": "vibration of {value:g} is not between 0 and the intensity {allowed:.3f} that was "
-    "stated",
-    "rate_hz": "a period of {value} µs is not from {allowed} µs, by the rate, to a minute",
+    "vibrates": "a vibration of {value:g} must be from 0 to the intensity of the sequence, "
+    "{allowed:.3f}",
+    "rate_hz": "a period of {value} µs must be from {allowed} µs, by limits.rate_hz, to one minute",
     "period_us": "slots and recharge phase take {value} µs, longer than the period of {allowed} "
     "µs: lower the rate",
     "duty": "current flows {value:.0%} of the time, above the limit of {allowed:.0%}: lower the "
     "rate",
     "pulse_us": "a pulse width of {value} µs must be above 0 and at most {allowed:g} µs",
-    "discharge_us": "slot {slot}: a discharge of {value} µs is below {allowed} µs, and its charge "
-    "would add to that of the next pulse",
-    "site": "site {value} is not an electrode: the last one is {allowed}",
+    "discharge_us": "slot {slot}: a discharge of {value} µs is below {allowed} µs, so charge would "
+    "remain and add to that of the next pulse",
+    "site": "site {value} is not an electrode: the last electrode is {allowed}",
     "balance": "slot {slot} is out of balance by {value} µA: currents must sum to {allowed}",
     "current_ma": "slot {slot}, electrode {electrode}: {value:.3f} mA is above the limit of "
     "{allowed:g} mA",
     "charge_uc": "slot {slot}, electrode {electrode}: {value:.3f} µC is above the limit of "
     "{allowed:g} µC",
-    "total_ma": "slot {slot}: {value:.3f} mA flow in all, above the limit of {allowed:g} mA",
-    "source": "slot {slot}: {value:.3f} µC from one source are above the {allowed:g} µC of a "
-    "single electrode: lower the current or the pulse width",
-    "claimed_ma": "{value:.3f} mA is more than the intensity allows, {allowed:.3f} mA",
-    "recharge": "a recharge phase needs slots whose charge it brings back, the currents of "
-    "{allowed} electrodes and a width: leave it out",
-    "recharge_us": "the recharge phase takes {value} µs, must be from 1 to {allowed}",
+    "total_ma": "slot {slot}: total current of {value:.3f} mA is above the limit of {allowed:g} mA",
+    "source": "slot {slot}: {value:.3f} µC from one source are above the limit of a single "
+    "electrode, {allowed:g} µC: lower the current or the pulse width",
+    "claimed_ma": "the strongest current is {value:.3f} mA, but the stated intensity allows "
+    "{allowed:.3f} mA: lower the current, or state a higher intensity",
+    "recharge": "a recharge phase needs slots before it, currents of {allowed} electrodes and a "
+    "width: leave the phase out",
+    "recharge_us": "the recharge phase takes {value} µs, must take from 1 to {allowed} µs",
     "recharge_balance": "the recharge phase is out of balance by {value} µA: currents must sum to "
     "{allowed}",
-    "recharge_ua": "the recharge phase has {value} µA at electrode {electrode}: at most {allowed} "
-    "µA are allowed for its width",
-    "recharge_ma": "the recharge phase has {value:.3f} mA in all, above the limit of {allowed:g} "
-    "mA",
-    "takes_back": "electrode {electrode}: the recharge phase passes {value:g} µC, and may take "
-    "back {allowed:g} µC and nothing else",
-    "passes": "{value} sequences within a second or waiting are above the {allowed} that the rate "
-    "allows: send less often",
-    "pulses_hz": "electrode {electrode}: {value:g} felt pulses are above the {allowed:g} of this "
-    "time: lower the rate",
-    "mean_ma": "electrode {electrode}: {value:g} µC are above the {allowed:g} µC of this time: "
-    "lower the rate",
-    "net_ma": "electrode {electrode}: {value:g} µC of one sign would be left within a second, more "
-    "than {allowed:g}: lower the rate, or recharge",
-    "order": "sequence at {value} ns does not follow the one before: its time must be {allowed} ns "
-    "or later",
-    "ramp_s": "current of strength {value:.3f} where {allowed:.3f} is open: zero to full takes "
-    "pulses for limits.ramp_s or longer",
-    "session_s": "the session would have {value:.0f} s of current, limits.session_s is "
+    "recharge_ua": "the recharge phase has {value} µA at electrode {electrode}: for its width at "
+    "most {allowed} µA are allowed",
+    "recharge_ma": "the total current of the recharge phase is {value:.3f} mA, above the limit of "
+    "{allowed:g} mA",
+    "takes_back": "electrode {electrode}: the recharge phase passes {value:g} µC, and may only "
+    "reduce the net charge: pass from 0 to {allowed:g} µC",
+    "passes": "{value} sequences would be delivered within a second, and limits.rate_hz allows "
+    "{allowed}: send sequences less often",
+    "pulses_hz": "electrode {electrode}: {value:g} perceptible pulses are above the limit for the "
+    "checked time, {allowed:g}: lower the rate",
+    "mean_ma": "electrode {electrode}: {value:g} µC are above the limit for the checked time, "
+    "{allowed:g} µC: lower the rate",
+    "net_ma": "electrode {electrode}: the net charge of a second would be {value:g} µC, above the "
+    "limit of {allowed:g} µC: lower the rate, or add recharge phases",
+    "order": "the sequence has time {value} ns, which is not after the previous sequence: the time "
+    "must be {allowed} ns or later",
+    "ramp_s": "strength {value:.3f} is too far above the ramp's level of {allowed:.3f}: raise the "
+    "intensity from zero to full in limits.ramp_s or longer",
+    "session_s": "the session would have current for {value:.0f} s, and limits.session_s is "
     "{allowed:g}: take the finger off, look at the skin, and continue later",
-    "session_mc": "electrode {electrode}: the session would pass {value:.0f} mC, limits.session_mc "
-    "is {allowed:g}: take the finger off, look at the skin, and continue later",
+    "session_mc": "electrode {electrode}: the session would pass {value:.0f} mC, and "
+    "limits.session_mc is {allowed:g}: take the finger off, look at the skin, and continue later",
 }
 _LIMITS = {
     "vibrates": "vibration", "source": "charge_uc", "claimed_ma": "intensity",
@@ -351,7 +349,7 @@ _LIMITS = {
     "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
     "order": "time_ns",
 }  # fmt: skip
-"""Names of limits that differ from the name of their message."""
+"""`SafetyError.limit` of the messages above, where it differs from the key of the message."""
 
 
 def refusal(
@@ -361,7 +359,7 @@ def refusal(
     slot: int | None = None,
     electrode: int | None = None,
 ) -> SafetyError:
-    """Return the error for an exceeded limit, by the name of its message."""
+    """Return the error for an exceeded limit, with the message of key ``sentence``."""
     words = _SENTENCES[sentence].format(
         value=value, allowed=allowed, slot=slot, electrode=electrode
     )

@@ -1,7 +1,8 @@
-"""The scan sequence: all pulses of one frame, as sums of quantized kernels; and scan timing.
+"""Scan sequence, which holds all pulses of one frame, and timing constraints of boards.
 
-A weight is an int16, scaled so that the peak of its kernel is 32,767. Amplitudes are in quarters of
-a µA. `KernelLists` defines the resulting currents exactly.
+The currents of slots can be sums of quantized kernels, each times an amplitude. Weights are int16,
+scaled to a peak of 32,767 in each kernel; amplitudes are in quarters of a µA. `KernelLists` defines
+the resulting currents exactly.
 """
 
 import math
@@ -21,7 +22,7 @@ from smarttouch.profile import Profile
 
 
 class SlotPolicy(NamedTuple):
-    """Classes whose points share slots."""
+    """Afferent classes whose points share slots."""
 
     afferents: tuple[Afferent, ...] = ()
 
@@ -30,19 +31,19 @@ NO_SHARING = SlotPolicy()
 
 
 def unsupported_reason(profile: Profile) -> str | None:
-    """Return why points cannot share slots with a profile, naming the key; None if they can."""
+    """Return why points cannot share slots, naming the profile key; None if they can."""
     if (kind := profile.output.kind) != "weighted":
         return f"output.kind is {kind}, with one source for all electrodes"
     if not profile.shares:
-        return "frames.share is not on, or limits.total_ma is not set, which bounds their current"
+        return "frames.share is off, or limits.total_ma, the limit of shared slots, is not set"
     return None
 
 
 PER_UA = 4  # amplitudes are in quarters of a µA
 PEAK = 32_767  # largest magnitude of a kernel's weights
-SHIFT = 17  # a weight of 2^15 times an amplitude of 4 is one µA: 2^17
+SHIFT = 17  # a full weight, 2^15, times the amplitude of one µA, 4, is 2^17
 _HEAD = struct.Struct("<HH")
-_SHORTEST_GAP = 3  # number of zeros above which a new run is shorter
+_SHORTEST_GAP = 3  # number of zeros from which a new run takes fewer bytes
 _ABOVE = 1 << 30  # larger than the total current of any slot, µA; a multiple of 2^16
 
 Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
@@ -77,7 +78,7 @@ class KernelTable:
         sites: list[NDArray[np.intp]] = []
         points: dict[Afferent, int] = {}
         sharing: dict[Afferent, int] = {}
-        # Kernels in use come first, as a board may not have space for all.
+        # Kernels for shared slots come first, as a board may not have space for all.
         for first, kernels in ((sharing, shared), (points, every)):
             for afferent in sorted(kernels):
                 first[afferent] = sum(map(len, parts))
@@ -88,9 +89,9 @@ class KernelTable:
 
     @cached_property
     def so_far_ua(self) -> NDArray[np.float64]:
-        """Cumulative sums of each kernel over electrodes, (K, E) µA, at amplitude 1.
+        """Cumulative sums of each kernel over electrodes, (K, E) µA, at amplitude 1 (0.25 µA).
 
-        They need four times the memory of the weights.
+        This array needs four times the memory of the weights.
         """
         # Scaling by a power of two is exact.
         return np.cumsum(self.weights, axis=1, dtype=np.float64) * 2.0**-SHIFT
@@ -100,12 +101,13 @@ class KernelTable:
 class KernelLists:
     """Slots as lists of kernels with amplitudes, and the resulting currents.
 
-    Weights times amplitudes are added. The cumulative sum over electrodes is rounded to µA, halves
-    upward. The current of an electrode is the difference of two rounded sums.
+    In a slot, weights times amplitudes are added over kernels, then cumulatively over electrodes.
+    The cumulative sums are rounded to µA, halves upward. The current of an electrode is its rounded
+    sum minus that of the electrode before it.
     """
 
     table: KernelTable
-    # (S + 1,) start of each slot's list, and end of the last; no list is empty
+    # (S + 1,) start of each slot's list, and end of the last list; no list is empty
     first: NDArray[np.intp]
     kernel: NDArray[np.uint16]  # (N,) row in the table
     amplitude: NDArray[np.uint16]  # (N,) in quarters of a µA; at most 65,535 in total per slot
@@ -123,7 +125,7 @@ class KernelLists:
         scaled *= amplitude.astype(np.float64)[:, None]
         if len(scaled) > len(first) - 1:
             scaled = np.add.reduceat(scaled, first[:-1], axis=0)
-        # After the offset all values are positive, so truncation rounds down; bits above 16 cancel.
+        # The offset makes sums positive, so truncation rounds down; 16-bit differences cancel it.
         scaled += _ABOVE + 0.5
         rounded = scaled.astype(np.int64).astype(np.int16)
         current_ua = rounded.copy()
@@ -149,12 +151,12 @@ def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
 
 
 def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
-    """Quantize kernels, (K, E), so that each row sums to zero; zero stays zero."""
+    """Quantize kernels, (K, E), so that each row sums to zero; rows of zeros stay zero."""
     peak = np.abs(kernels).max(axis=1, keepdims=True, initial=0)
     carried = np.cumsum(kernels * (PEAK / np.where(peak > 0, peak, 1)), axis=1)
     carried[:, -1:] = 0
-    # Round halves upward: rounding to even, the peak of (-0.5, 1, -0.5) would be 32,768. Errors of
-    # double precision are far below the sixth decimal.
+    # Round halves upward: rounded to even, the peak of (-0.5, 1, -0.5) would become 32,768. First
+    # remove errors of double precision, which are far below the sixth decimal.
     rounded = np.floor(carried.round(6) + 0.5)
     return np.diff(rounded, axis=1, prepend=0).astype(np.int16)
 
@@ -163,7 +165,7 @@ def kept_kernels(
     weights: NDArray[np.int16], sites: NDArray[np.uint16], room: float, most: int
 ) -> tuple[bytes, int]:
     """Encode kernels, (K, E), and sites, (K,), for storage on a board. Return the bytes, and the
-    number of kernels that fit the board's capacity."""
+    number of kernels that fit ``room`` bytes, at most ``most``."""
     parts, size = [b""], _HEAD.size
     for record in _records(weights[:most], sites):
         if size + len(record) > room:
@@ -175,7 +177,7 @@ def kept_kernels(
 
 
 def _records(weights: NDArray[np.int16], sites: NDArray[np.uint16]) -> Iterator[bytes]:
-    """Yield each kernel as runs of weights, without long gaps of zeros."""
+    """Yield each kernel as bytes: its site, and runs of weights without long gaps of zeros."""
     for kernel, site in zip(weights, sites.tolist(), strict=False):
         active = np.flatnonzero(kernel)
         if not len(active):
@@ -193,7 +195,7 @@ def _records(weights: NDArray[np.int16], sites: NDArray[np.uint16]) -> Iterator[
 def largest_amplitude(
     weights: NDArray[np.int16], most_ua: NDArray[np.float64]
 ) -> NDArray[np.uint16]:
-    """Return the largest amplitude of each kernel, (K, E), within the limits, (E,) µA."""
+    """Return the largest amplitude at which each kernel, (K, E), keeps the limits, (E,) µA."""
     limit = np.floor(most_ua) * 2.0**SHIFT
     room = [(limit / np.maximum(np.abs(kernel.astype(np.float64)), 1)).min() for kernel in weights]
     return np.minimum(np.floor(room), 0xFFFF).astype(np.uint16)
@@ -203,9 +205,8 @@ def largest_amplitude(
 class SelectivityReport:
     """Selectivity of each slot.
 
-    For shared slots it is computed from the sent currents after rounding, or it is the proved bound
-    for independent sites. For single points it is that of the kernel. Activation is relative to the
-    slot's weakest target, scaled to level 1.
+    For shared slots, values are proved bounds that include rounding. For single points they are
+    those of the kernel. Activation is relative to the slot's weakest target, scaled to level 1.
 
     Attributes
     ----------
@@ -238,14 +239,14 @@ class ScanSequence:
     Attributes
     ----------
     current_ua : ndarray, (S, E) int16, µA
-        Current of each electrode in each slot; **positive is cathodic**, negative anodic, zero
-        insulated. On a board with one source, currents are nominal shares of the source.
+        Current of each electrode in each slot; **positive is cathodic**, negative is anodic, and an
+        electrode at zero is insulated. On boards with one source, values are planned shares.
     width_us : ndarray, (S,) uint16, µs
         Pulse width of each slot.
     discharge_us : ndarray, (S,) uint16, µs
         Duration of the short circuit after each pulse.
     site : ndarray, (S,) uint16
-        Electrode of the point that each slot stimulates.
+        Electrode above the point that each slot stimulates; the first one in a shared slot.
     period_us : int, µs
         Duration of the sequence.
     intensity : float, in [0, 1]
@@ -261,7 +262,7 @@ class ScanSequence:
     recharge_us : int, µs
         Duration of the recharge phase; 0 without one.
     sums : KernelLists, optional
-        Kernels whose sums the currents are. The gate proves the currents, not these lists.
+        Kernels that add up to the currents. The gate proves the currents, not these lists.
     """
 
     __repr__ = one_line
@@ -315,7 +316,7 @@ class ScanSequence:
 
 
 def peak_pc(current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
-    """Return the largest charge of an electrode in slots of (S, E) µA and (S,) µs, pC."""
+    """Return the largest charge of a pulse, pC, in slots of (S, E) µA and (S,) µs."""
     if not current_ua.size:
         return 0
     longest_us = int(width_us.max())
@@ -331,9 +332,9 @@ class ScanTiming:
 
     width_us: int | None = None  # the only pulse width, if fixed
     discharge_us: int | None = None  # the only discharge time, if fixed
-    slot_extra_us: float = 0.0  # additional time of a slot
-    scan_us: float = 0.0  # additional time of a scan
-    every_electrode: bool = False  # whether idle electrodes take a slot, too
+    slot_extra_us: float = 0.0  # time of a slot in addition to pulse and discharge
+    scan_us: float = 0.0  # time of a scan in addition to its slots
+    every_electrode: bool = False  # whether electrodes without a point take a slot, too
     in_index_order: bool = False  # whether the board scans by electrode number
     own_widths: bool = True  # whether each slot may have its own pulse width
     whole_hz: bool = False  # whether the rate must be an integer, Hz
@@ -347,11 +348,11 @@ class ScanTiming:
         width_us: float = 0.0,
         discharge_us: float = 0.0,
     ) -> int:
-        """Return the shortest possible period of at least ``least_us`` and, if ``slots`` is given,
-        of at least the duration of the scan.
+        """Return the shortest period that the board can make and that is at least ``least_us``
+        and, if ``slots`` is given, the duration of the scan.
 
-        Times of slots are means, µs. An integer rate of f Hz is a period of 1e6/f, rounded up, so
-        that ``round(1e6 / period)`` is f.
+        ``width_us`` and ``discharge_us`` are means over slots. For an integer rate of f Hz, the
+        period is 1e6/f rounded up, so that ``round(1e6 / period)`` is f.
         """
         if slots is not None:
             taken = electrodes if self.every_electrode else slots
@@ -360,12 +361,12 @@ class ScanTiming:
         period = math.ceil(least_us)
         if not self.whole_hz or period <= 1:
             return period
-        # the largest f whose period is not shorter
+        # the largest integer rate whose period is not shorter
         rate_hz = 999_999 // (period - 1)
         if not rate_hz:
             raise ScheduleError(
-                f"a scan takes {period / 1e6:.2f} s, and the board scans once a second at the "
-                "slowest: lower pulse.discharge_us or the number of electrodes"
+                f"a scan takes {period / 1e6:.2f} s, and this board needs at least one scan a "
+                "second: lower pulse.discharge_us or the number of electrodes"
             )
         return -(-1_000_000 // rate_hz)
 
@@ -375,6 +376,6 @@ class ScanTiming:
             asked = getattr(profile.pulse, key)
             if fixed is not None and asked != fixed:
                 raise ScheduleError(
-                    f"the profile's pulse.{key} is {asked} µs, the board's is always {fixed} µs: "
+                    f"pulse.{key} of the profile is {asked} µs, but this board needs {fixed} µs: "
                     f"set pulse.{key} = {fixed}"
                 )

@@ -1,7 +1,7 @@
-"""Scheduling of a tactile image: the slots of one frame, and their period.
+"""Scheduler, which converts a tactile image to the slots of one sequence and its period.
 
-The period follows from the rates of classes, finger force, the board's scan timing, and the limits
-of pulses and charge.
+The period follows from the pulse rates of classes, finger force, the board's scan timing, and the
+limits of pulses and charge.
 """
 
 import math
@@ -41,29 +41,26 @@ from smarttouch.stimulation.sequence_limits import (
 from smarttouch.stimulation.slots import FrameSlots, PointSlots, Slots, constant_us, joined
 
 WINDOW_US = 1_100_000
-"""Window over which net charge is planned: boards may count a second in tenths."""
-GUARD_PC = 0.95 * NET_PC
-"""Largest planned net charge of the latest passes, however many."""
+"""Window of the planned net charge: 1.1 s for a second, as boards may count in tenths of it."""
+GUARD_PC = 0.95 * NET_PC  # largest planned net charge of any number of latest passes
 _MEAN_PC = PLANNED * NET_PC
 _FREE_PC = NET_PC / 2
 _MOST_PC = 0.99 * NET_PC
 
-
 Array = NDArray[np.float64]
-
 
 SLOWEST = 0.2
 """Share of the full rate at the lightest touch of a hard object: 10 of 50 Hz, the slowest pulses in
 the paper's experiments (Section III-B.2)."""
-_ON_TIME = 0.25  # share of its interval above which a late class restarts its time grid
+_ON_TIME = 0.25  # delay, as a share of the interval, above which a class restarts its time grid
 _SLOWEST_HZ = 0.1
 
 
 def force_gate(force_n: float, law: ForceLaw) -> float:
     """Return the intensity at a finger force, in [0, 1].
 
-    Zero below contact and one above full force; in between linear or logarithmic (paper, Section
-    IV-B). NaN means no contact.
+    It is 0 below the contact force and 1 above the full force; in between it is a linear or
+    logarithmic function of force (paper, Section IV-B). A force of NaN means no contact.
     """
     if not force_n > law.contact_n:
         return 0.0
@@ -77,9 +74,9 @@ def force_gate(force_n: float, law: ForceLaw) -> float:
 def rate_share(pressure: float, softness: float) -> float:
     """Return the share of the full pulse rate at a pressure, in [0, 1] as from `force_gate`.
 
-    SAI afferents encode pressure in their firing rate, which rises on a hard object, but hardly on
-    a soft one. In the paper, a constant rate under a moving finger felt soft (Section III-B.2).
-    With softness 1 the rate is constant, with 0 it follows pressure.
+    The firing rate of SAI afferents rises strongly with pressure on a hard object, and little on a
+    soft one. In the paper, a constant rate under a moving finger felt soft (Section III-B.2). With
+    softness 1 the rate is constant, with softness 0 it follows pressure.
     """
     return softness + (1 - softness) * max(SLOWEST, pressure)
 
@@ -87,24 +84,23 @@ def rate_share(pressure: float, softness: float) -> float:
 def rates_of(
     profile: Profile, afferents: tuple[Afferent, ...], rate_hz: float | None, timing: ScanTiming
 ) -> dict[Afferent, float]:
-    """Return the pulse rate of each class, Hz: `rate_hz` for one class, the profile's rates for
-    two. Empty for three classes: their stimuli set the times of pulses."""
+    """Return the pulse rate of each class, Hz: `rate_hz` or the profile's rate for one class, the
+    profile's two rates for RA with SAI. Mode color has no rates, as stimuli set the times."""
     pulse, limits = profile.pulse, profile.limits
     rates_hz = {afferents[0]: pulse.rate_hz if rate_hz is None else rate_hz}
     if Afferent.PC in afferents and len(afferents) > 1:
-        # In mode color stimuli set the times of pulses.
         rates_hz = {}
     elif len(afferents) > 1:
         rates_hz = {Afferent.RA: pulse.ra_rate_hz, Afferent.SAI: pulse.sai_rate_hz}
         if rate_hz is not None:
             raise ScheduleError(
-                f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
+                f"rate_hz={rate_hz:g} is for a single class: for several classes set "
                 "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile"
             )
         if timing.whole_hz or timing.every_electrode or timing.in_index_order:
             raise ScheduleError(
-                "natural mode pulses at two rates, and this board scans all electrodes at "
-                "one: choose RA or SAI"
+                "natural mode needs two pulse rates, and this board scans all electrodes at one "
+                "rate: choose mode RA or SAI"
             )
     for each_hz in rates_hz.values():
         if not _SLOWEST_HZ <= each_hz <= limits.rate_hz:
@@ -116,11 +112,11 @@ def rates_of(
 
 
 class PulseRates:
-    """Times of pulses, on a time grid for each class.
+    """Timetable of pulses, with a regular time grid for each class.
 
-    Pulses of several classes are merged if they are closer together than `merge_us`, the shortest
-    period of a sequence. Rates are full rates, Hz; the SAI rate follows pressure, depending on
-    `softness`.
+    Pulses of several classes go into one sequence if they are less than `merge_us` apart, the
+    shortest period of a sequence. `rates_hz` are rates at full pressure; at lower pressure the SAI
+    rate is lower, depending on `softness` (see `rate_share`).
     """
 
     def __init__(
@@ -156,17 +152,17 @@ class PulseRates:
             next_ns.append(due_ns)
         if not next_ns:
             raise ScheduleError(
-                "mode color needs stimuli with a period, and this source gives none: choose RA"
+                "mode color needs stimuli with a period, and this source has none: choose mode RA"
             )
         return tuple(now), max(self._merge_us, round((min(next_ns) - time_ns) / 1000))
 
     def restart(self) -> None:
-        """Restart: all classes are due."""
+        """Restart the time grids, so that all classes are due now."""
         self._last_ns.clear()
 
 
 class _Pass(NamedTuple):
-    """Pass, with times of frames, net charge, (E,), and the largest net charge."""
+    """Planned pass: end by the time of frames, net charge, (E,), and largest net charge."""
 
     end_us: float
     most_pc: float
@@ -174,23 +170,23 @@ class _Pass(NamedTuple):
 
 
 class NetPlan:
-    """Plans periods so that the net charge of a second stays below its limit.
+    """Planner of periods that keep the net charge of any second below its limit.
 
     If passes of one sign would exceed the limit at their rate, they are slowed evenly, beginning
-    when half of the limit is used. After a change of the picture, passes are delayed as needed.
+    when half of the limit is used. After a change of the image, passes may wait longer.
     """
 
     def __init__(self, electrodes: int) -> None:
         self._passes: deque[_Pass] = deque()
         self._sum_pc = np.zeros(electrodes)
-        self._at_most_pc = self._newest_at_most_pc = 0.0  # bounds of all passes, and of the latest
+        self._at_most_pc = self._newest_at_most_pc = 0.0  # upper bounds: all, and latest passes
 
     def next_period_us(
         self, net_pc: Array, time_us: float, period_us: int, busy_us: int
     ) -> float | None:
-        """Add a sequence with net charge, (E,) pC, and slots of `busy_us`, at a time. Return its
-        shortest period, at least `period_us`, or None if it would exceed the net charge of a
-        second."""
+        """Add a pass from `time_us`, with net charge, (E,) pC, and slots that take `busy_us`.
+        Return its shortest period, at least `period_us`. Return None, without adding the pass, if
+        it would exceed the net charge of a second."""
         passes = self._passes
         while passes and passes[0].end_us <= time_us - WINDOW_US:
             _, gone_pc, gone_net_pc = passes.popleft()
@@ -210,19 +206,19 @@ class NetPlan:
         count, needed_us = len(passes), float(period_us)
         carried_pc = float(np.maximum.reduce(np.abs(self._sum_pc)))
         span_us = min(time_us + period_us - passes[0].end_us, WINDOW_US)
-        # Do not slow short trains, nor trains with pauses.
+        # Do not slow a pulse train that is short or has pauses.
         if carried_pc > _FREE_PC and carried_pc * WINDOW_US > _MEAN_PC * span_us:
             mean_pc = carried_pc / count
             if mean_pc < _MEAN_PC:
-                # the passes within a window, and one that it cuts
+                # Count one pass more than a second holds, as its borders can cut passes.
                 needed_us = max(needed_us, WINDOW_US / 1.1 * mean_pc / (_MEAN_PC - mean_pc))
             if carried_pc + mean_pc < GUARD_PC:
                 # Spread the remaining charge evenly until the first passes leave the window.
                 left_us = WINDOW_US - span_us
                 needed_us = max(needed_us, left_us * mean_pc / (GUARD_PC - carried_pc))
         if self._newest_at_most_pc + most_pc > GUARD_PC:
-            # Leave capacity for another pass like this: wait until enough passes have left the
-            # window.
+            # Leave capacity for another pass with this charge: wait until enough passes have left
+            # the window.
             newest = self._newest(net_pc).max(axis=1)
             room = max(0, bisect_right(np.maximum.accumulate(newest).tolist(), GUARD_PC) - 1)
             if room < count:
@@ -231,7 +227,7 @@ class NetPlan:
         return needed_us
 
     def _newest(self, net_pc: Array) -> Array:
-        """Return the net charge (magnitude) of the latest passes plus one more, (N + 1, E)."""
+        """Return the net charge (magnitude) of this pass plus the latest 0 to N, (N + 1, E)."""
         passes = (earlier.net_pc for earlier in reversed(self._passes))
         return np.asarray(np.abs(np.cumsum([net_pc, *passes], axis=0)))
 
@@ -242,19 +238,19 @@ class SchedulerContext:
 
     sharing: SlotPolicy = NO_SHARING
     makers: dict[Afferent, PointSlots | FrameSlots] = field(default_factory=dict)
-    """Makers of slots, by class."""
+    """Slot makers, by class."""
     table: KernelTable | None = None  # quantized kernels, if slots are sums of them
     net: NetPlan | None = None  # plan for net charge; None if recharge phases return it
 
 
 class ScanScheduler:
-    """Converts tactile images to sequences with one slot for each active point, or fewer (paper,
+    """Converter of tactile images to sequences of at most one slot for each active point (paper,
     Section IV-A, Fig. 19).
 
-    `rate_hz` is the rate of a single class; several classes have their own rates. Softness, in [0,
-    1], reduces the effect of force on the SAI rate. If `vibrated`, mechanical vibrators stimulate
-    PC, without current. `net_slowed` and `net_emptied` count sequences that were slowed, or lost
-    their slots, to limit net charge. `asked_us` is the requested period of the last sequence.
+    `rate_hz` is the rate of a single class; several classes have the profile's rates. Softness, in
+    [0, 1], reduces the effect of force on the SAI rate. If `vibrated`, mechanical vibrators
+    stimulate PC, without current. `net_slowed` and `net_emptied` count sequences that got a longer
+    period or no slots, to limit net charge. `asked_us` is the last requested period.
     Raises ScheduleError if the rate or the pulses are impossible, or if the bank drives a masked
     electrode.
     """
@@ -295,7 +291,7 @@ class ScanScheduler:
         self._limits = SafetyLimits.of(profile)
         steps_ns = 0, 2 * FIRST_NS, MOST_STEP_NS
         self._steps = [step_ns / self._limits.ramp_ns for step_ns in steps_ns]
-        # Check in advance that the longest scan is possible, too.
+        # Raise ScheduleError now if the longest scan is impossible.
         all_us, count = self._electrodes * pulse.width_us, self._electrodes
         timing.shortest_period_us(
             all_us / self._duty, count, count, pulse.width_us, pulse.discharge_us
@@ -308,7 +304,7 @@ class ScanScheduler:
             self._require_exposure_of_all()
 
     def restart(self) -> None:
-        """Restart: all classes are due."""
+        """Restart the time grids, so that all classes are due now."""
         self._rates.restart()
 
     def schedule(
@@ -322,9 +318,10 @@ class ScanScheduler:
         """Return the sequence for a tactile image at an intensity and a pressure in [0, 1].
 
         Extends the requested period if the slots do not fit. At zero intensity there are no slots.
-        Intensity is lowered until strength (`strength_ppb`) is at most ``allowed``, in [0, 1]. The
-        SAI rate follows pressure. If the image has a period, each active class pulses once in it.
-        Raises ScheduleError if the limits forbid that period, or if a class cannot be stimulated.
+        Intensity is lowered until strength (`strength_ppb`) is at most ``allowed``, in [0, 1]. If
+        currents then round to zero, larger first steps of the ramp are tried. The SAI rate follows
+        pressure. If the image has a period, each active class pulses once in it. Raises
+        ScheduleError if the limits forbid that period, or if a class cannot be stimulated.
         """
         if image.period_us is None:
             due, self.asked_us = self._rates.due(image.time_ns, pressure)
@@ -368,7 +365,7 @@ class ScanScheduler:
         intensity: float,
         adaptation: Adaptation | None,
     ) -> Slots:
-        """Return the slots of all due classes, or empty slots."""
+        """Return the slots of all due classes; if no class is due, there are no slots."""
         parts = []
         for afferent in due or (self._first,):
             maker = self._makers[afferent]
@@ -385,12 +382,12 @@ class ScanScheduler:
         allowed: float,
         adaptation: Adaptation | None,
     ) -> tuple[Slots, float]:
-        """Return slots with at most the allowed strength, and their intensity."""
+        """Return slots weakened to the allowed strength, and their intensity."""
         ppb, charge_pc = parts_per_billion(wanted), peak_pc(slots.current_ua, slots.width_us)
         # Rounding to µA may increase the strength slightly.
         planned_ppb = min(ppb, strength_ppb(self._limits, ppb, charge_pc))
         intensity = wanted if planned_ppb else allowed
-        # The first step of the ramp may be too weak for a pulse.
+        # If all currents round to zero, try larger first steps of the ramp.
         for least in self._steps if allowed else self._steps[:1]:
             strongest = max(allowed, least)
             if planned_ppb <= strongest * PPB:
@@ -406,14 +403,14 @@ class ScanScheduler:
         if period_us < self._least_us:
             raise ScheduleError(
                 f"pulses {period_us} µs apart are not possible: the profile's limit of "
-                f"{1e6 / self._least_us:g} Hz asks for {self._least_us} µs or more"
+                f"{1e6 / self._least_us:g} Hz requires {self._least_us} µs or more"
             )
         active = list(map(Afferent, np.flatnonzero(activation.any(axis=1)).tolist()))
         if self._vibrated and Afferent.PC in active:
             active.remove(Afferent.PC)
         if missing := [afferent for afferent in active if afferent not in self._makers]:
             raise ScheduleError(
-                f"{missing[0].name} was requested and cannot be driven here: choose one of "
+                f"class {missing[0].name} cannot be stimulated in this run: choose one of "
                 f"{', '.join(afferent.name for afferent in self._makers)}"
             )
         return tuple(active)
@@ -434,7 +431,7 @@ class ScanScheduler:
 
 def _overexposed(needed_us: int) -> ScheduleError:
     return ScheduleError(
-        f"the points of one frame expose an electrode as much as {needed_us / 1000:.0f} ms allow, "
-        f"and one sequence may bring at most {BURST_US / 1000:.0f} ms of it: lower "
+        f"the points of one frame use up an electrode's limit of pulses or charge for "
+        f"{needed_us / 1000:.0f} ms, and at most {BURST_US / 1000:.0f} ms are allowed: lower "
         "perception.comfort_ratio or pulse.width_us, or choose another mode"
     )

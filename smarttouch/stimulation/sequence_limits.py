@@ -1,4 +1,4 @@
-"""Limits in integers: of a scan sequence, of a second, and of a session."""
+"""Integer checks of the limits of a scan sequence, of any second, and of a session."""
 
 from bisect import bisect_right
 from collections import deque
@@ -22,9 +22,9 @@ from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, decimal, ref
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 STRENGTH = 4
-"""Largest ratio of a pulse's strength to its charge relative to a full pulse. The faintest gray of
-the shipped kernels carries 0.39 of a full pulse: 3 would be sufficient, and 4 leaves a margin for
-sensitive sites."""
+"""Largest ratio of a sequence's strength to its relative charge: its largest pulse charge over that
+of a full pulse. With the shipped kernels, the faintest gray at full intensity has a relative charge
+of 0.39, so 3 would be sufficient; 4 leaves a margin for sensitive sites."""
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62
 MOST_RECHARGE_US = 20_000  # one period at 50 Hz (our choice)
@@ -32,12 +32,11 @@ MOST_RECHARGE_PC = 2_000_000  # per electrode: four of the strongest pulses (our
 BURST_US = round(1e6 * BURST_S)
 PER_PULSE = 1_000_000
 PER_PC = round(1000 * CEILING_PULSES_HZ / (1e6 * CEILING_MEAN_MA))
-"""Integer weights that give perceptible pulses and charge the same limit: 3 per pC, a million per
-pulse, and at most `MOST_PER_US` of each per microsecond."""
+"""Integer weights of a perceptible pulse and of a pC of charge. With them, both sums have the same
+limit of `MOST_PER_US` per microsecond."""
 MOST_PER_US = round(CEILING_PULSES_HZ)
 NET_PC = round(1e9 * CEILING_NET_MA)  # largest net charge of an electrode in a second
-PLANNED = 0.9
-"""Share of the limit used by schedules, a margin for jitter."""
+PLANNED = 0.9  # share of a limit that schedulers use; the rest is a margin for jitter
 
 WINDOW_NS = 1_000_000_000
 _LAST_NS = WINDOW_NS - 1
@@ -51,9 +50,9 @@ cathodic. All are integers far below 2^53, so double precision is exact."""
 def add_up(
     current_ua: NDArray[np.int16], width_us: NDArray[np.uint16], felt_ua: NDArray[np.float32]
 ) -> tuple[Sums, NDArray[np.float64], NDArray[np.float64]]:
-    """Return the sums of slots, and their currents and magnitudes, (S, E) float64.
+    """Return the sums over slots, the currents, and their magnitudes, both (S, E) float64.
 
-    S > 0; widths are (S,). Pulses from ``felt_ua``, (E,), are perceptible.
+    S must be above 0. Widths are (S,). Pulses of ``felt_ua``, (E,), or more are perceptible.
     """
     currents, widths = current_ua.astype(np.float64), width_us.astype(np.float64)
     magnitudes = np.abs(currents)
@@ -65,9 +64,9 @@ def add_up(
 def strength_ppb(limits: SafetyLimits, ppb: int, peak_pc: int) -> int:
     """Return the strength of a sequence in parts per billion.
 
-    Strength is the claimed intensity, ``ppb``, clipped to a range. The lower bound is ``peak_pc``,
-    the largest charge of a pulse, relative to a full pulse; the upper bound is `STRENGTH` times
-    that.
+    Strength is the stated intensity, ``ppb``, clipped to a range. The lower bound is ``peak_pc``,
+    the largest charge of a pulse, relative to a full pulse. The upper bound is `STRENGTH` times the
+    lower bound.
     """
     full, parts = limits.full_ratio
     share = -(-peak_pc * PPB * parts // (full * limits.width_whole_us))
@@ -85,7 +84,7 @@ class PassLoad(NamedTuple):
 
 
 def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> PassLoad:
-    """Check a frozen sequence with intensity ``ppb``, and return its load on each electrode.
+    """Check a frozen sequence of intensity ``ppb``, and return its load on each electrode.
 
     Raises SafetyError with the limit, slot, electrode and values.
     """
@@ -100,7 +99,7 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
     highest_ua = np.maximum.reduce(magnitude_ua, axis=0)
     if (highest_ua > limits.current_ua).any():
         _prove_each("current_ma", magnitude_ua, limits.current_ua, 1000)
-    # Balanced: cathodes carry half of the sum of magnitudes.
+    # Currents sum to zero, so cathodes carry half of the sum of magnitudes.
     if np.maximum.reduce(total_ua) > 2 * limits.total_ua:
         slot = int(total_ua.argmax())
         raise refusal("total_ma", total_ua[slot] / 2000, limits.total_ma, slot)
@@ -110,13 +109,13 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
         charge_pc = magnitude_ua * width_us.astype(np.float64)[:, None]
         _prove_each("charge_uc", charge_pc, limits.charge_pc, 1_000_000)
         peak_pc = int(charge_pc.max())
-    # A single electrode may have to carry the complete charge of a slot.
+    # If others lack contact, a single electrode carries the complete charge of the source.
     if limits.one_source and (total_ua * width_us).max() > 2 * limits.source_pc:
         slot = int((total_ua * width_us).argmax())
         source_uc = total_ua[slot] * float(width_us[slot]) / 2e6
         raise refusal("source", source_uc, limits.charge_uc, slot)
     full, parts = limits.full_ratio
-    room = (limits.electrodes + 2) * parts * PPB  # for the balancing electrode
+    room = (limits.electrodes + 2) * parts * PPB  # rounding error of the balancing electrode
     if peak_ua > (most_ua := (2 * full * ppb + room) // (2 * parts * PPB)):
         raise refusal("claimed_ma", peak_ua / 1000, most_ua / 1000)
     recharge_pc = None
@@ -165,7 +164,7 @@ def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, i
 
 
 def _prove_vibration(vibration: NDArray[np.float32], intensity: float, electrodes: int) -> None:
-    """Raise SafetyError unless there is a vibration for each electrode, not above the intensity."""
+    """Raise SafetyError unless each electrode has a vibration from 0 to the intensity."""
     if vibration.shape != (electrodes,):
         raise refusal("vibration", len(vibration), electrodes)
     # Compare in double precision, like the intensity. Comparisons with NaN are false.
@@ -238,11 +237,11 @@ class _Pass(NamedTuple):
     start_ns: int
     end_ns: int
     sums: Sums
-    most: float  # bound of the net charge of any electrode (× `PER_PC`)
+    most: float  # upper bound of the net charge of any electrode (× `PER_PC`)
 
 
 class _Sent(NamedTuple):
-    """Accepted sequence; its first pass is in the window."""
+    """Accepted sequence, whose first pass is in `Exposure._window`."""
 
     first: _Pass
     period_ns: int
@@ -250,10 +249,10 @@ class _Sent(NamedTuple):
     flows: bool
 
     def cut_short(self, now_ns: int) -> tuple[int, list[_Pass], int]:
-        """End the repetitions when a new sequence arrives. Return the start of the new sequence,
-        after the current pass; the later passes that have begun, without old ones; and the number
-        of passes that will not begin."""
-        # the first pass still waits for its turn
+        """End the repetitions because a new sequence arrives. Return the start of the new sequence,
+        after the current pass; the repetitions that have begun, except those long ago; and the
+        number of repetitions that will not begin."""
+        # A first pass that has not begun yet will begin.
         first, period_ns = self.first, self.period_ns
         begun = max(1, min(self.times, (now_ns - first.start_ns) // period_ns + 1))
         delays_ns = [
@@ -268,16 +267,16 @@ class _Sent(NamedTuple):
 
 
 class Exposure:
-    """Running sums over the last second and over the session, by the display's clock.
+    """Dose limits: running sums over the last second and over the session, by the display's clock.
 
-    A board finishes a pass before the next begins, which determines the times of passes.
+    Times of passes are computed, as a board finishes each pass before it begins the next one.
     """
 
     def __init__(self, limits: SafetyLimits) -> None:
         self._limits = limits
         self._most_of_session = limits.session_mc * 1e9 * PER_PC
         self._most_session_ns = floor(decimal(limits.session_s) * 10**9)
-        # passes within a second, and those that late sequences may send ahead
+        # largest number of passes in a second, including late ones that catch up
         rate_hz = decimal(limits.rate_hz)
         self._most_passes = ceil(rate_hz * (WINDOW_NS + LATE_NS) / WINDOW_NS) + 1
         # passes with any part in the last second or in the future
@@ -287,7 +286,7 @@ class Exposure:
 
     @property
     def dose(self) -> Dose:
-        """Dose of the session so far, including requested repetitions."""
+        """Dose of the session so far, including repetitions that are still to come."""
         charge_mc = self._session[1] / (PER_PC * 1e9)
         net_uc = self._session[2] / 1e6
         return Dose(self._session_ns / 1e9, tuple(charge_mc.tolist()), tuple(net_uc.tolist()))
@@ -298,7 +297,7 @@ class Exposure:
         return np.asarray(self._session[2], np.int64)
 
     def begin_session(self, now_ns: int | None) -> None:
-        """Reset the dose; the last second still counts, including repetitions up to now."""
+        """Reset the dose. The last second still counts, with the repetitions begun by now."""
         if now_ns is not None and self._last is not None:
             for scan in self._last.cut_short(now_ns)[1]:
                 self._window.append(scan)
@@ -309,18 +308,18 @@ class Exposure:
         self._session_ns = 0
 
     def forget_second(self) -> None:
-        """Reset the last second because time restarts; the session continues."""
+        """Forget the passes of the last second because time restarts; the session continues."""
         self._last = None
         self._window.clear()
         # Upper bounds of the load of the last second, and of the net charge (× `PER_PC`) of any
-        # number of latest passes. They avoid most exact sums.
+        # number of latest passes. Exact sums are needed only when a bound exceeds its limit.
         self._second_at_most = self._net_at_most = 0.0
 
     def net_rest_ns(self, now_ns: int) -> int:
-        """Return the time until half of a second's net charge is available for a new session.
+        """Return the time, ns, until a new session can use half of the net charge of a second.
 
-        The new session plans without knowledge of the old one, so with less its sequences could be
-        rejected.
+        Plans of a new session do not include pulses of the old session. With less than half of
+        the limit left, the gate could reject planned sequences.
         """
         recent = [scan for scan in reversed(self._window) if scan.end_ns > now_ns - WINDOW_NS]
         if not recent or self._second_at_most <= PER_PC * NET_PC / 2:
@@ -330,8 +329,9 @@ class Exposure:
         return recent[over[0]].end_ns + WINDOW_NS - now_ns if len(over) else 0
 
     def enter(self, now_ns: int, period_us: int, times: int, load: PassLoad, flows: bool) -> None:
-        """Add the passes of a sequence that may begin now, not before the last call. It ends the
-        repetitions of the sequence before. If it ``flows``, its time counts toward the session.
+        """Check and add the passes of a sequence that may begin now. Time must not go back. The
+        sequence ends the repetitions of the previous one. If ``flows``, it has slots, and its time
+        counts toward the session.
 
         Raises
         ------
@@ -349,7 +349,7 @@ class Exposure:
             start_ns = max(now_ns, last.first.start_ns + last.period_ns)
             if last.times > 1:
                 start_ns, repeated, left = last.cut_short(now_ns)
-                # These passes were counted, but will not be delivered.
+                # Subtract the passes that were counted before, but will not be delivered.
                 session_ns -= left * last.period_ns * last.flows
                 session -= left * last.first.sums
         if load.recharge_pc is not None:
@@ -357,16 +357,16 @@ class Exposure:
             carried_pc = session[2] - times * sums[2] + slots_pc
             _check_recharge(carried_pc, load.recharge_pc, sums[2], times)
         first = _Pass(start_ns, start_ns + 1000 * load.busy_us, sums, largest)
-        # Check passes until the first one leaves the window.
-        judged = min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
+        # Check the passes that begin before the first one leaves the window of a second.
+        checked = min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
         net_at_most = min(self._net_at_most, self._second_at_most)
-        most = judged * largest + (len(repeated) * repeated[0].most if repeated else 0)
+        most = checked * largest + (len(repeated) * repeated[0].most if repeated else 0)
         if (
             len(window) + len(repeated) >= self._most_passes
             or self._second_at_most + most > MOST_PER_US * 1_000_000
             or net_at_most + most > PER_PC * NET_PC
         ):
-            net_at_most = self._check_second(now_ns, first, judged, period_ns, repeated)
+            net_at_most = self._check_second(now_ns, first, checked, period_ns, repeated)
         if session_ns > self._most_session_ns:
             raise refusal("session_s", session_ns / 1e9, self._limits.session_s)
         if np.maximum.reduce(session[1]) > self._most_of_session:
@@ -385,22 +385,22 @@ class Exposure:
         self._session, self._session_ns = session, session_ns
 
     def _check_second(
-        self, now_ns: int, first: _Pass, judged: int, period_ns: int, repeated: list[_Pass]
+        self, now_ns: int, first: _Pass, checked: int, period_ns: int, repeated: list[_Pass]
     ) -> float:
-        """Raise SafetyError if any second would exceed a limit with ``judged`` new passes, one
-        period apart, and with repeated passes of the sequence before. Return a bound of the net
-        charge (× `PER_PC`) of the latest earlier passes."""
+        """Raise SafetyError if any second would exceed a limit with ``checked`` new passes, one
+        period apart, and ``repeated`` passes of the previous sequence. Return an upper bound of the
+        net charge (× `PER_PC`) of any number of the latest earlier passes."""
         recent = [scan for scan in (*self._window, *repeated) if scan.end_ns > now_ns - WINDOW_NS]
         passes = sum(scan.start_ns > now_ns - WINDOW_NS for scan in recent) + 1
         if passes > self._most_passes:
             raise refusal("passes", passes, self._most_passes)
         ends_ns = [scan.end_ns for scan in recent]
-        # sums of the latest passes, starting at each of them
+        # row n: sums of the latest n passes
         nothing = np.zeros_like(first.sums)
         sums = np.cumsum([nothing, *(scan.sums for scan in reversed(recent))], axis=0)
         nets = sums[:, 2]
         highest, lowest = np.maximum.accumulate(nets), np.minimum.accumulate(nets)
-        for index in range(judged):
+        for index in range(checked):
             time_ns = first.start_ns + index * period_ns if index else now_ns
             count = len(recent) - bisect_right(ends_ns, time_ns - WINDOW_NS)
             second = (sums[count] + (index + 1) * first.sums)[:2]
@@ -418,7 +418,7 @@ def _check_recharge(before_pc: Charge, recharge_pc: Charge, net_pc: Charge, time
     """Raise SafetyError unless a recharge phase only returns charge that its electrodes carry, both
     in the first and in the last pass; all (E,) pC."""
     for carried_pc in (before_pc, before_pc + (times - 1) * net_pc)[: min(times, 2)]:
-        # It may return at most the carried charge, with the opposite sign.
+        # The phase may return at most the carried charge, with the opposite sign.
         over_pc = np.abs(carried_pc + recharge_pc) + np.abs(recharge_pc) - np.abs(carried_pc)
         if over_pc.any():
             at = int(over_pc.argmax())
@@ -426,7 +426,7 @@ def _check_recharge(before_pc: Charge, recharge_pc: Charge, net_pc: Charge, time
 
 
 def _too_much(load: Sums, time_us: int) -> SafetyError:
-    """Return the error for too many perceptible pulses, or for too much charge or net charge."""
+    """Return the error for too many perceptible pulses, or too much charge, in ``time_us``."""
     kind, at = divmod(int(load.argmax()), load.shape[1])
     limit, unit = ("mean_ma", PER_PC * 1_000_000) if kind else ("pulses_hz", PER_PULSE)
     return refusal(limit, load[kind, at] / unit, MOST_PER_US * time_us / unit, electrode=at)

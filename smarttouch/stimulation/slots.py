@@ -1,4 +1,4 @@
-"""Slots of one afferent class: kernels scaled by activation, one or several per slot."""
+"""Slots of an afferent class: one or several kernels per slot, each scaled by activation."""
 
 import math
 from functools import lru_cache
@@ -34,42 +34,43 @@ Array = NDArray[np.float64]
 
 
 class Slots(NamedTuple):
-    """Slots of one class."""
+    """Slots of a scan sequence, of one or several classes."""
 
     site: NDArray[np.uint16]  # (S,)
     current_ua: NDArray[np.int16]  # (S, E)
     width_us: NDArray[np.uint16]  # (S,)
-    proof: SelectivityReport | None = None  # of shared slots
-    sums: KernelLists | None = None  # kernels whose sums the currents are
+    proof: SelectivityReport | None = None  # selectivity of shared slots
+    sums: KernelLists | None = None  # kernels that add up to the currents
 
 
 _JUDGED_MM = 0.5
-"""Smallest node spacing for proofs of sets: 25 times faster than 0.1 mm, with the same results for
-shipped arrays."""
+"""Smallest node spacing for the proofs of independent sites, which are 25 times faster than with
+0.1 mm and have the same results for the shipped arrays."""
 
 _NONE = np.empty(0, np.intp)
 _ROUNDING = 0.99
-"""Share of a bound used by proofs, a margin for rounding down to `certain_from`."""
+"""Share of a bound that proofs use; the rest is a margin for rounding, down to the intensity
+`FrameSlots.certain_from`."""
 
 
 class FrameSlots:
     """Maker of slots in which independent sites share a slot.
 
-    A shared slot is a sum of kernels. Each subset of them keeps the profile's bounds on off-target
-    and spill. Points without proof have separate slots. So do all points at intensities below
-    `certain_from`, where nothing is felt and rounding could exceed a bound. Raises ScheduleError if
-    the board has a single source, or if the profile does not limit total current.
+    A shared slot is a sum of kernels, any subset of which keeps the profile's bounds on off-target
+    and spill. Points without such a proof get separate slots. So do all points at intensities below
+    `certain_from`, which are too low to be felt: rounding could exceed a bound there. Raises
+    ScheduleError if the board has a single source, or if the profile does not limit total current.
     """
 
     def __init__(self, profile: Profile, bank: KernelBank, afferent: Afferent) -> None:
         if (why := unsupported_reason(profile)) is not None:
-            raise ScheduleError(f"points cannot share slots: {why}: choose points")
+            raise ScheduleError(f"points cannot share slots: {why}: set scan=points")
         kernels = np.asarray(bank.kernels(afferent), np.float64)
         judge = FrameJudge(
             _coarse(profile), afferent, full_wish(profile, kernels, bank.receptor[afferent])
         )
         frames, count = profile.frames, len(kernels)
-        # Aim slightly low, which saves current.
+        # Request slightly less activation than at level 1, which saves current.
         self._aim = 1 - AIM * frames.uneven
         faintest = profile.threshold_ma / profile.full_ma
         sets = proved_sets(
@@ -82,7 +83,7 @@ class FrameSlots:
         self.certain_from: float = self._certain.least(
             FrameBounds(frames.other, frames.spill, frames.uneven)
         )
-        """Intensity above which all sums keep the bounds, including rounding."""
+        """Intensity from which all shared slots keep the bounds, including rounding."""
         self._figures = lru_cache(maxsize=1)(self._certain.figures)
         self._most_ma = profile.total_ma - self._certain.total_ua / 1000
         self._shared_ma = np.concatenate(
@@ -110,7 +111,7 @@ class FrameSlots:
         return self._shared_ma, self._sites
 
     def use_table(self, table: KernelTable) -> None:
-        """Use quantized kernels from now on."""
+        """Use the quantized kernels of a table from now on."""
         shared = table.shared[self._afferent] + np.arange(len(self._sites))
         points = table.points[self._afferent] + np.arange(len(self._widths_us))
         self._table, self._rows = table, np.concatenate([shared, points]).astype(np.uint16)
@@ -118,15 +119,15 @@ class FrameSlots:
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
         """Return slots, with proof, for the activation of one class, (E,), at an intensity.
 
-        A point receives the activation of its single kernel, within the unevenness that the profile
-        allows: threshold current times intensity at the faintest activation, comfort level times
-        intensity at full activation. Currents are integer µA that sum to zero in each slot. Masked
-        electrodes have no slot.
+        A point gets the activation that its kernel alone would cause, within ``frames.uneven`` of
+        the profile. That kernel carries the threshold current times intensity at the faintest
+        activation, and the comfort level times intensity at full activation. Currents are integer
+        µA that sum to zero in each slot. Masked electrodes have no slot.
         """
         asked = activation if intensity > 0 else 0 * activation
         if self._perceived_at is not None:
             asked = np.append(asked, np.float32(0))[self._perceived_at]
-        # Shared slots scale levels by aim: divide by it, so that the faintest points are felt.
+        # Shared slots multiply levels by `_aim`: divide here, so that the faintest points are felt.
         level = (self._range * asked + self._faintest) * (asked > 0) / self._aim
         level = np.minimum(level, 1.0, out=level)
         kernel, points = self._shared(level) if intensity >= self.certain_from else (_NONE, [])
@@ -155,7 +156,7 @@ class FrameSlots:
         do = np.empty((2, count), np.float32)
         owner = self._owner.take(kernel.take(first[:shared]))
         do[:, :shared] = self._figures(intensity).take(owner, axis=1)
-        # Scale the figures of faint points to level 1.
+        # Reports are relative to level 1: scale off-target and spill of fainter points.
         np.multiply(self._points_do.take(alone, axis=1), alone_level, out=do[:, shared:])
         site = self._kernel_sites.take(kernel.take(first[:-1])).astype(np.uint16)
         proof = SelectivityReport(np.array(points, np.uint16), *do)
@@ -163,7 +164,8 @@ class FrameSlots:
 
     def _shared(self, level: Array) -> tuple[NDArray[np.intp], list[int]]:
         """Return the kernels of shared slots, slot after slot, and the number of kernels in each
-        slot. Slots are filled set by set, in order of strength, as far as total current allows."""
+        slot. In each set, the strongest kernel comes first. It goes to the first slot whose total
+        current then stays within the limit."""
         wanted = level.take(self._sites)
         active = wanted.nonzero()[0]
         below_zero_ma = -self._aim * wanted.take(active) * self._totals_ma.take(active)
@@ -196,7 +198,7 @@ def _coarse(profile: Profile) -> Profile:
 
 
 class PointSlots:
-    """Maker of slots with one kernel each, with a `table` from quantized kernels."""
+    """Maker of slots with one kernel each; with a `table`, it uses the quantized kernels."""
 
     def __init__(
         self,
@@ -209,8 +211,8 @@ class PointSlots:
         weights, masked = np.asarray(bank.kernels(afferent), np.float32), profile.output.masked
         if weights[:, masked].any():
             raise ScheduleError(
-                f"the kernels drive an electrode that output.masked {list(masked)} lists: design "
-                "the bank for this profile"
+                f"the kernels drive a masked electrode (output.masked is {list(masked)}): design "
+                "kernels for this profile"
             )
         count = len(weights)
         self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]
@@ -220,8 +222,8 @@ class PointSlots:
         if total_ma.max() > profile.total_ma * (1 + 1e-6):
             site = int(total_ma.argmax())
             raise ScheduleError(
-                f"the kernel of electrode {site} carries {total_ma[site]:.2f} mA in all at full "
-                f"strength, above the {profile.total_ma:g} mA of a slot: lower "
+                f"the kernel of electrode {site} has a total current of {total_ma[site]:.2f} mA at "
+                f"full strength, above the limit of {profile.total_ma:g} mA for a slot: lower "
                 "perception.comfort_ratio, or design kernels within a lower limits.total_ma",
                 electrode=site,
             )
@@ -238,11 +240,11 @@ class PointSlots:
             self._base = table.points[afferent]
             site_weights = table.weights[self._base : self._base + count]
             self._largest = largest_amplitude(site_weights, np.floor(1000 * most_ma + 1e-6))
-            # All rows of the table have the same peak.
+            # All kernels of a table have the same peak weight.
             self._full = np.asarray(PER_UA * magnitude.max(axis=1), np.float32)
         self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
         self._range = 1 - self._faintest
-        # level of each site below which a switched electrode would round to insulated
+        # level of each site below which a switched current would round to zero
         self._weakest_level = np.zeros(count, np.float32)
         if profile.output.kind != "weighted":
             least_ua = np.where(magnitude > 0, magnitude, np.inf).min(axis=1)
@@ -303,9 +305,9 @@ class PointSlots:
         return current_ua
 
     def _carried(self, site: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.int16]:
-        """Return slots, (S, E), with the remainder spread over electrodes, below 1 µA each."""
+        """Return kernels times levels in integer µA, (S, E), with errors below 1 µA each."""
         exact_ua = self._kernels_ua[site].astype(np.float64) * level[:, None]
-        # Stay slightly below the integer limit, so that the carry cannot exceed it.
+        # Stay slightly below the integer limit, so that rounding cannot exceed it.
         peak_ua = np.abs(exact_ua).max(axis=1)
         exact_ua *= np.minimum(1, (self._most_ua[site] - 1e-3) / peak_ua)[:, None]
         return round_charge_balanced(exact_ua)
@@ -315,7 +317,7 @@ class PointSlots:
 def spread_order(count: int) -> NDArray[np.intp]:
     """Return an order of ``count`` points in which successive points are far apart.
 
-    The stride is about the golden section of the length of the list.
+    The order steps through the list by a stride of about the golden section of its length.
     """
     stride = round(count * 0.382)
     while stride > 1 and math.gcd(stride, count) > 1:
@@ -324,8 +326,8 @@ def spread_order(count: int) -> NDArray[np.intp]:
 
 
 def perceived_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | None:
-    """Return the electrode at which each point is perceived, (E,), or E if outside of the array;
-    None if the profile shifts no class (paper, Section III-B.4)."""
+    """Return the electrode at which each point of a class is perceived, (E,), or E if outside; None
+    if the profile does not shift the class (paper, Section III-B.4)."""
     shifts = profile.perception
     shift_mm = (shifts.ra_shift_mm, shifts.sai_shift_mm, shifts.pc_shift_mm)[afferent]
     if not any(shift_mm):
@@ -333,21 +335,20 @@ def perceived_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | Non
     place_mm = profile.electrodes.position_mm
     away_mm = np.abs(place_mm[:, None] + shift_mm - place_mm)
     nearest = np.hypot(*away_mm.transpose(2, 0, 1)).argmin(axis=1)
-    # Places up to half a cell away belong to that electrode.
+    # A place belongs to an electrode if it is at most half a cell away.
     half_mm = np.array(profile.electrodes.cell_mm) / 2 + 1e-9
     here = (away_mm[np.arange(len(nearest)), nearest] <= half_mm).all(axis=1)
     return np.asarray(np.where(here, nearest, len(nearest)), np.intp)
 
 
 def constant_us(count: int, time_us: int) -> NDArray[np.uint16]:
-    """Return a read-only array of equal times, (count,), of which frames use slices."""
+    """Return a read-only array of ``count`` equal times, µs; sequences use slices of it."""
     times = np.full(count, time_us, np.uint16)
     times.setflags(write=False)
     return times
 
 
 def joined(parts: list[Slots]) -> Slots:
-    """Join the slots of several classes."""
     site, current_ua, width_us = (
         np.concatenate([part[index] for part in parts]) for index in range(3)
     )
