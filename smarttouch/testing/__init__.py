@@ -1,4 +1,4 @@
-"""Contract tests for boards, sources and forces of other packages."""
+"""Contract tests for boards, sources and force sensors of plug-in packages."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ __all__ = [
 
 _MODULES = "emulator.device_lines", "testing.source_contracts", "testing.driver_contract"
 
-if not TYPE_CHECKING:  # pytest loads a plug-in from here before it can rewrite what it asserts
+if not TYPE_CHECKING:  # lazy: pytest cannot rewrite asserts of modules loaded before its plug-in
 
     def __getattr__(name: str) -> Any:
         for module in _MODULES:

@@ -1,4 +1,4 @@
-"""Contract tests for drivers: subclass `DriverContract` in your tests."""
+"""Contract tests for drivers of boards: subclass `DriverContract` in your tests."""
 
 import contextlib
 import sys
@@ -21,7 +21,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 SECOND = 10**9
 LATE_NS = 60 * SECOND  # delay after which sequences are dropped: long, as the machine may be busy
-LOCKED_S = 0.02  # pause at a line of the driver: an action that takes longer waits for a lock
+LOCKED_S = 0.02  # pause of a driver for the action; a longer action waits for the driver's lock
 NewBoard = Callable[[], Board]
 
 
@@ -35,8 +35,8 @@ class SentPulse:
         Current of each electrode, positive cathodic.
     width_us : float, µs
     discharge_us, period_us : float, optional, µs
-        Time for which all electrodes are shorted afterwards, and duration of a pass of the
-        sequence; None if the device itself determines them.
+        Time for which all electrodes are shorted after the pulse, and duration of a pass of the
+        sequence; None if the device itself determines the time.
     """
 
     current_ua: tuple[float, ...]
@@ -66,8 +66,8 @@ def planned_pulses(sequence: ScanSequence, times: int) -> list[SentPulse]:
 def assert_same_pulses(
     found: Sequence[SentPulse], wanted: Sequence[SentPulse], step_ua: float, step_us: float
 ) -> None:
-    """Fail unless pulses are as planned, rounded to the steps of the device, and balanced."""
-    assert len(found) == len(wanted), f"{len(found)} pulses where {len(wanted)} were proved"
+    """Fail unless pulses are as planned, rounded to the steps of the device, and sum to zero."""
+    assert len(found) == len(wanted), f"{len(found)} pulses were sent, {len(wanted)} were proved"
     for number, (pulse, plan) in enumerate(zip(found, wanted, strict=True)):
         message = f"pulse {number} of {len(wanted)}: "
         assert abs(sum(pulse.current_ua)) <= step_ua / 2, message + "currents do not add up to zero"
@@ -79,8 +79,8 @@ def assert_same_pulses(
 
 
 class AtLine:
-    """Context that starts an action, in its own thread, at one executed line of a driver's code.
-    ``number`` counts the lines executed in the driver's package, from 0, without `Board`."""
+    """Context manager that starts an action in its own thread when a driver executes a line.
+    ``number`` counts executed lines of the driver's package from 0, without those of `Board`."""
 
     thread: threading.Thread | None
 
@@ -109,25 +109,25 @@ class AtLine:
             if self.lines == self._number:
                 self.thread = threading.Thread(target=self._action)
                 self.thread.start()
-                # If the driver holds its lock here, the action continues later.
+                # If the driver holds a lock that the action needs, the action continues later.
                 self.thread.join(LOCKED_S)
             self.lines += 1
         return self._count
 
 
 def _package(module: str) -> str:
-    """Return the package of a module; for drivers of SmartTouch, the package with all their
-    parts."""
+    """Return the package of a module; within SmartTouch, a direct subpackage, such as
+    ``smarttouch.boards``."""
     if module.startswith("smarttouch."):
         return ".".join(module.split(".")[:2])
     return module.rpartition(".")[0] or module
 
 
 class DriverContract:
-    """Contract of drivers: subclass it as ``TestMine``, with `make`, `received` and `decode`.
+    """Contract tests of drivers: subclass as ``TestMine``, with `make`, `received` and `decode`.
 
-    The bytes sent to the device are compared with the proved sequences. If the driver and `decode`
-    have the same wrong scale, only ``smarttouch calibrate scale`` finds it.
+    Bytes sent to the device are decoded and compared with the proved sequences. If the driver and
+    `decode` share a wrong current scale, only ``smarttouch calibrate scale`` finds the error.
 
     Attributes
     ----------
@@ -138,9 +138,9 @@ class DriverContract:
     width_us, discharge_us, period_us : int, µs
         Timing of the test sequences.
     intensity, level_ua : float, int
-        Intensity and current of the test sequences, so low that no ramp is needed.
+        Intensity and current of the test sequences, low enough to begin without a ramp.
     step_ua, step_us : float, µA, µs
-        Steps to which the device rounds currents and times; currents still add up to zero.
+        Steps to which the device rounds currents and times; rounded currents must sum to zero.
     keeps_order : bool
         Whether slots are delivered in the order of the sequence; False if the device scans by
         index.
@@ -150,9 +150,9 @@ class DriverContract:
     instants : int
         Number of lines of the driver's code at which a stop is tested.
     made : Driver
-        The latest driver.
+        The driver that `make` returned last.
     calls : Mock
-        Called methods of the driver, with their arguments.
+        Calls of the driver's methods, with their arguments.
     """
 
     electrodes = 8
@@ -171,26 +171,26 @@ class DriverContract:
 
     def make(self, limits: SafetyLimits) -> Driver:
         """Return a new closed driver; all drivers of a test share one device."""
-        # Not abstract: pytest must create the class, also for tests without a device.
-        raise NotImplementedError("return your driver, for these limits")
+        # Not abstract: pytest must create the class for tests that need no device.
+        raise NotImplementedError("override make: return your driver, for these limits")
 
     def board(self, driver: Driver, limits: SafetyLimits) -> Board:
         """Return the board of a driver; override it for another output or clock."""
-        # Not on a finger, so that the user's total current is not limited.
+        # Without a finger, the limit of the user's total current does not apply.
         return Board(driver, limits, late_ns=LATE_NS, on_a_finger=False)
 
     def received(self) -> bytes:
         """Return all bytes that the device has received so far."""
-        raise NotImplementedError("return the bytes that your device, or its stand-in, was sent")
+        raise NotImplementedError("override received: return all bytes sent to the device")
 
     def decode(self, data: bytes) -> list[SentPulse]:
         """Return the pulses that a device delivers for these bytes, in order, including
         repetitions.
 
-        Include `ZERO` wherever all electrodes are set to zero. Write it from the device's
-        documentation, not from the driver: errors in both are not found.
+        Include `ZERO` wherever all electrodes are set to zero. Follow the documentation of the
+        device, not the driver: tests cannot find an error that decoder and driver share.
         """
-        raise NotImplementedError("return the pulses that these bytes are, by your own decoder")
+        raise NotImplementedError("override decode: return the pulses that the device delivers")
 
     def pulses(self) -> list[SentPulse]:
         """Return the pulses sent to the device; override it if the device does not receive
@@ -198,7 +198,7 @@ class DriverContract:
         return self.decode(self.received())
 
     def assert_silent(self) -> None:
-        """Fail unless the last command to the device is zero and no other follows."""
+        """Fail unless the last command to the device sets zero and no command follows."""
         before = self.pulses()
         assert before[-1] == ZERO, "the last command to the device is not zero"
         time.sleep(2e-6 * self.period_us)
@@ -211,7 +211,7 @@ class DriverContract:
 
     @pytest.fixture
     def new_board(self, limits: SafetyLimits) -> NewBoard:
-        """Return a function that makes boards and records calls of their drivers."""
+        """Return a function that makes boards and records the calls of their drivers."""
 
         def make() -> Board:
             self.made, self.calls = self.make(limits), Mock()
@@ -228,14 +228,14 @@ class DriverContract:
         level_ua: int | None = None,
         sites: Iterable[int] = range(4),
     ) -> ScanSequence:
-        """Return a sequence with one electrode against all others in each slot; step 0 is silent.
+        """Return a sequence that drives one electrode against all others in each slot.
 
         Parameters
         ----------
         step : int
-            Seconds since the start.
+            Time of the sequence, s; at 0 the sequence has no slots.
         level_ua : int, µA
-            Current of the one electrode, positive cathodic.
+            Current of the electrode, positive cathodic.
         sites : iterable of int
         """
         level_ua = self.level_ua if level_ua is None else level_ua
@@ -252,7 +252,7 @@ class DriverContract:
         )  # fmt: skip
 
     def _start(self, board: Board) -> None:
-        """Send a silent sequence, then a long one."""
+        """Send a sequence without slots, then one with many passes."""
         board.send(self.sequence(0))
         board.drain()
         board.send(self.sequence(1), times=1000)
@@ -275,8 +275,8 @@ class DriverContract:
         assert self.calls.write.call_count == 5
 
     def test_what_the_device_is_sent_is_what_was_proved(self, new_board: NewBoard) -> None:
-        """Each electrode is a site once, all except one are silent once, and passes are
-        repeated."""
+        """Send slots of each electrode against all others, slots of two electrodes, recharge phases
+        and repetitions, and compare."""
         every, sent = list(range(self.electrodes)), [(self.sequence(0), 1)]
         with new_board() as board:
             can = board.capabilities
@@ -284,7 +284,7 @@ class DriverContract:
             if can.recharges and self.shows_recharges:
                 sent.append((self.recharged_sequence(1), 2))
             for first in range(0, self.electrodes, at_once):
-                # Reverse the order, so that only a driver that keeps it passes.
+                # Reverse the order, so that a driver that sorts slots fails.
                 sites = every[first : first + at_once][:: -1 if self.keeps_order else 1]
                 sent.append((self.sequence(len(sent), sites=sites), 1 + first // at_once % 3))
             if can.output == "weighted":
@@ -296,7 +296,7 @@ class DriverContract:
             wanted = []
             for sequence, times in sent:
                 wanted += planned_pulses(sequence, times)
-                # A newer sequence ends repetitions.
+                # A newer sequence ends repetitions, so wait for the last one.
                 if self.counts_passes:
                     board.send(sequence, times)
                     board.drain(5)
@@ -310,14 +310,14 @@ class DriverContract:
         assert_same_pulses(pulses, wanted, self.step_ua, self.step_us)
 
     def _wait_for(self, kinds: int) -> None:
-        """Wait until a device that repeats its scan has received this number of different
+        """Wait until the device, which repeats its scan, has received ``kinds`` different
         pulses."""
         end_s = time.monotonic() + 5
         while len({*self.pulses()} - {ZERO}) < kinds and time.monotonic() < end_s:
             time.sleep(0.02)
 
     def recharged_sequence(self, step: int) -> ScanSequence:
-        """Return a slot with a recharge phase of 2 ms that takes back most of its charge."""
+        """Return one slot, and a recharge phase of 2 ms that returns most of the charge."""
         sequence, recharge_us = self.sequence(step, sites=[0]), 2000
         back_ua = abs(sequence.current_ua[0, -1]) * self.width_us // recharge_us
         recharge_ua = np.where(sequence.current_ua[0] < 0, back_ua, -back_ua).astype(np.int16)
@@ -325,7 +325,7 @@ class DriverContract:
         return replace(sequence, recharge_ua=recharge_ua, recharge_us=recharge_us)
 
     def masked_sequence(self, step: int, masked: int) -> ScanSequence:
-        """Return a slot of two electrodes against each other, next to a masked one."""
+        """Return one slot that drives two electrodes, next to a masked one, against each other."""
         sequence = self.sequence(step, sites=[masked + 1])
         current_ua = np.zeros_like(sequence.current_ua)
         current_ua[0, [masked + 1, masked + 2]] = self.level_ua // 2, -(self.level_ua // 2)
@@ -333,7 +333,7 @@ class DriverContract:
 
     @pytest.mark.parametrize("what", ["send", "measure"])
     def test_a_stop_at_any_line_of_the_driver(self, new_board: NewBoard, what: str) -> None:
-        """Another thread stops the board at that line; nothing is sent afterwards."""
+        """Stop the board from another thread at a line of the driver; then nothing is sent."""
 
         def call(board: Board) -> None:
             with contextlib.suppress(BoardError, SafetyError):

@@ -1,10 +1,10 @@
-"""Pytest fixture for a user's own recordings: ``def test_it(replays): replays("run.mcap")``."""
+"""Pytest fixture that replays your recordings: ``def test_it(replays): replays("run.mcap")``."""
 
 from collections.abc import Callable
 
 import pytest
 
-# Let failed asserts of the contracts show the compared values.
+# Rewrite asserts of the contracts, so that failures show the compared values.
 pytest.register_assert_rewrite(
     *(f"smarttouch.testing.{module}" for module in ("driver_contract", "source_contracts"))
 )
@@ -12,9 +12,9 @@ pytest.register_assert_rewrite(
 
 @pytest.fixture(scope="session")
 def replays() -> Callable[..., None]:
-    """Return a function that fails unless a recording's sequences are reproduced exactly.
+    """Return a function that fails unless a replay reproduces all recorded sequences exactly.
 
-    Its arguments are the path of a recording, and options of
+    Call it with the path of a recording, and options of
     `smarttouch.running.check_recording.check_recording`.
     """
 

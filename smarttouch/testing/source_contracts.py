@@ -17,13 +17,13 @@ from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
 
-READS = 30  # number of reads of a source
-QUICKEST_S = 0.01  # limit of the fastest of many reads, which must not wait
-LARGEST_N = 100.0  # largest plausible force of a finger
+READS = 30  # largest number of reads in a test
+QUICKEST_S = 0.01  # limit of the fastest of several reads: a source must not wait
+LARGEST_N = 100.0  # largest plausible finger force
 
 
 class _Opened:
-    """Base of contracts."""
+    """Base class of the contracts, which provides a profile."""
 
     @pytest.fixture
     def profile(self) -> Profile:
@@ -32,12 +32,12 @@ class _Opened:
 
 
 class SourceContract(_Opened):
-    """Contract of sources of frames: subclass it as ``TestMine``, with `make`.
+    """Contract tests of sources of frames: subclass as ``TestMine``, with `make`.
 
     Attributes
     ----------
     ends : bool
-        Whether the source ends within `longest_s`, in time of the run.
+        Whether the source ends within `longest_s` of the run's time.
     longest_s : float, s
     step_s : float, s
         Time from one frame to the next.
@@ -49,11 +49,11 @@ class SourceContract(_Opened):
 
     def make(self, profile: Profile) -> Source:
         """Return a new source."""
-        # Not abstract: pytest must create the class, also for tests without a device.
-        raise NotImplementedError("return your source")
+        # Not abstract: pytest must create the class for tests that need no device.
+        raise NotImplementedError("override make: return your source")
 
     def pause(self) -> None:
-        """Called between two reads; override it to wait for a device."""
+        """Do nothing between two reads; override this to wait for a device."""
 
     @pytest.fixture
     def source(self, profile: Profile) -> Iterator[Source]:
@@ -62,7 +62,7 @@ class SourceContract(_Opened):
             yield source
 
     def read(self, source: Source) -> list[Input]:
-        """Read the source until its end, at most `READS` times; fail if an input changes later."""
+        """Read the source until it ends, at most `READS` times; fail if an input changes later."""
         inputs: list[Input] = []
         copies: list[NDArray[Any]] = []
         time_ns = 0
@@ -77,7 +77,7 @@ class SourceContract(_Opened):
         return inputs
 
     def lasts_ns(self, given: Input) -> int:
-        """Return the time to the next read."""
+        """Return the time from an input to the next read, ns."""
         return round(self.step_s * 1e9)
 
     def check(self, given: Input, first: Input, profile: Profile) -> None:
@@ -122,10 +122,10 @@ class SourceContract(_Opened):
 
     def test_it_ends_and_stays_at_its_end(self, source: Source) -> None:
         if not self.ends:
-            pytest.skip("it never ends by itself")
+            pytest.skip("the source never ends by itself")
         time_s, frame = 0.0, source.read(0)
         while frame is not None:
-            assert time_s <= self.longest_s, "it does not end"
+            assert time_s <= self.longest_s, f"the source has not ended in {self.longest_s:g} s"
             time_s += max(self.step_s, self.longest_s / 1000)
             self.pause()
             frame = source.read(round(time_s * 1e9))
@@ -141,7 +141,7 @@ class SourceContract(_Opened):
         self.make(profile).close()
 
     def test_reading_waits_for_nothing(self, source: Source) -> None:
-        # The first read may wait for a device; others may be delayed by a busy computer.
+        # The first read may wait for a device. A busy computer may delay others: use the fastest.
         newest, time_ns, took_s = source.read(0), 0, list[float]()
         while newest is not None and len(took_s) < READS:
             time_ns += self.lasts_ns(newest)
@@ -152,13 +152,13 @@ class SourceContract(_Opened):
 
 
 class StimulusContract(SourceContract):
-    """Contract of sources of stimuli: subclass it as ``TestMine``, with `make`.
+    """Contract tests of sources of stimuli: subclass as ``TestMine``, with `make`.
 
-    The source is read again when the period of a stimulus is over, or else after `step_s`.
+    Tests read the source again after the period of a stimulus or, without one, after `step_s`.
     """
 
     def lasts_ns(self, given: Input) -> int:
-        """Return the time to the next read."""
+        """Return the time from a stimulus to the next read, ns."""
         assert isinstance(given, Stimulus)
         return super().lasts_ns(given) if given.period_us is None else 1000 * given.period_us
 
@@ -167,7 +167,7 @@ class StimulusContract(SourceContract):
         assert isinstance(given, Stimulus)
         assert given.activation.dtype == np.float32
         assert given.activation.shape == (len(Afferent), len(profile.electrodes))
-        # This also fails for NaN.
+        # NaN also fails, as comparisons with it are false.
         assert 0 <= given.activation.min() <= given.activation.max() <= 1
         assert 0 <= given.level <= 1
         assert given.period_us is None or given.period_us > 0
@@ -176,8 +176,8 @@ class StimulusContract(SourceContract):
             assert given.image.ndim == 2
 
     def check_same(self, one: Input, other: Input) -> None:
-        """Check that two reads of one stimulus have equal places; its pulses may change between
-        them."""
+        """Check that two reads of one stimulus have equal poses; the activation may differ, as it
+        can follow time."""
         assert one.pose == other.pose
 
 
@@ -186,12 +186,12 @@ def _content(given: Input) -> NDArray[Any]:
 
 
 class ForceContract(_Opened):
-    """Contract of sources of force: subclass it as ``TestMine``, with `make`."""
+    """Contract tests of sources of finger force: subclass as ``TestMine``, with `make`."""
 
     def make(self, profile: Profile) -> ForceSource:
         """Return a new source of force."""
-        # Not abstract: pytest must create the class, also for tests without a device.
-        raise NotImplementedError("return your source of force")
+        # Not abstract: pytest must create the class for tests that need no device.
+        raise NotImplementedError("override make: return your source of force")
 
     @pytest.fixture
     def force(self, profile: Profile) -> Iterator[ForceSource]:
