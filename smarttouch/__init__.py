@@ -1,7 +1,7 @@
 """SmartTouch: touch what a sensor sees.
 
-Optical frames of print are converted to tactile images, and these to scan sequences of optimized
-kernels. Each sequence is proved safe before it is sent to an electro-tactile display board::
+The package converts frames of print to tactile images, and tactile images to scan sequences of
+currents. It proves each sequence safe before it sends it to an electro-tactile display board::
 
     import smarttouch as st
 
@@ -10,7 +10,7 @@ kernels. Each sequence is proved safe before it is sent to an electro-tactile di
             st.open_display("simulated:", profile) as display:
         statistics = st.run(source, display, mode="RA")
 
-Large modules are imported at first use.
+To keep the import fast, the package loads its modules when a name is first used.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""``python -m smarttouch``: the command line."""
+"""Entry point of ``python -m smarttouch``: runs the command line."""
 
 from smarttouch.cli import main
 

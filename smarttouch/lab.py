@@ -1,4 +1,4 @@
-"""Names for studies: models of skin and nerve, instruments, experiments and figures."""
+"""API for studies: models of skin and nerves, instruments, experiments and figures."""
 
 from smarttouch.base.afferent import CLASS_COLORS as CLASS_COLORS
 from smarttouch.base.files import data_folder as data_folder

@@ -1,4 +1,4 @@
-"""API for packages that provide boards, sources or forces, in addition to the top-level names."""
+"""API for plug-ins that add boards, sources or force sensors, beyond the names in `smarttouch`."""
 
 from smarttouch.base.errors import LineLostError as LineLostError
 from smarttouch.base.errors import SourceLostError as SourceLostError

@@ -1,4 +1,4 @@
-"""The top-level names of the package, which imports this module at first use."""
+"""Public names of `smarttouch`, which imports this module when a name is first used."""
 
 from smarttouch.base.afferent import Afferent as Afferent
 from smarttouch.base.errors import BoardError as BoardError

@@ -1,4 +1,4 @@
-"""Types for annotations, events and errors, in addition to the top-level names."""
+"""Types for annotations, events and errors, beyond the names in `smarttouch`."""
 
 from smarttouch.base.afferent import Mode as Mode
 from smarttouch.base.clock import Clock as Clock
