@@ -16,7 +16,7 @@ from smarttouch.stimulation.slots import Slots
 NEAR = 0.92  # share of the compliance voltage above which a source counts as saturated
 FASTEST_FALL = 0.8  # smallest ratio of a site's currents at successive observations
 FASTEST_RISE = 1.05
-"""Largest ratio of a site's currents at successive observations: doubles in 0.3 s at 50 Hz."""
+"""Largest ratio of a site's currents at successive observations: a factor 2 in 0.3 s at 50 Hz."""
 RESERVED = 0.5
 """Initial share of the requested current if energy is held constant. Currents may rise to the full
 request, which they reach when impedance has fallen to a quarter."""
@@ -32,9 +32,9 @@ Hold = Literal["charge", "energy"]  # quantity that is kept constant
 class Adaptation:
     """Controller of currents and pulse widths, by the measured voltage of each site.
 
-    To hold ``charge``, pulses near the compliance voltage become weaker and longer; the
-    board must allow a width for each slot. To hold ``energy``, a current is the request times
-    `RESERVED` times the root of first over present impedance, and at most the request.
+    To hold ``charge``, pulses near the compliance voltage become weaker and longer; the board must
+    allow a width for each slot. To hold ``energy``, a current is `RESERVED` times the request times
+    the square root of first impedance over present impedance, and never above the request.
     """
 
     def __init__(self, profile: Profile, hold: Hold, compliance_v: float) -> None:

@@ -20,7 +20,7 @@ __all__ = ["ProvedSequence", "Ramp", "SafetyGate", "SafetyLimits"]
 
 LEEWAY_PPB = 1000  # tolerance for rounding errors
 LEVEL_KEPT_NS = 15_000_000_000
-"""Time without current after which the ramp restarts at zero. Meanwhile an experiment can wait for
+"""Time without current after which the ramp restarts at zero. An experiment can wait this long for
 an answer, with the finger in contact."""
 PLANNED_KEPT_NS = LEVEL_KEPT_NS - 1_000_000_000
 """Time without current after which plans restart at zero. It is shorter than `LEVEL_KEPT_NS`, as a

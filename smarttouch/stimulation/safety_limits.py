@@ -292,7 +292,7 @@ def parts_per_billion(intensity: float) -> int:
 _SENTENCES = {
     "electrodes": "currents are for {value} electrodes, not {allowed}: use the board's profile",
     "intensity": "intensity {value} must lie between 0 and {allowed}",
-    "time_ns": "time {value} ns must be from 0 to below {allowed}",
+    "time_ns": "time {value} ns must be at least 0 and below {allowed}",
     "vibration": "vibration has {value} values: give one for each of {allowed} electrodes",
     "vibrates": "a vibration of {value:g} must be from 0 to the intensity of the sequence, "
     "{allowed:.3f}",

@@ -44,7 +44,7 @@ PEAK = 32_767  # largest magnitude of a kernel's weights
 SHIFT = 17  # a full weight, 2^15, times the amplitude of one µA, 4, is 2^17
 _HEAD = struct.Struct("<HH")
 _SHORTEST_GAP = 3  # number of zeros from which a new run takes fewer bytes
-_ABOVE = 1 << 30  # larger than the total current of any slot, µA; a multiple of 2^16
+_OFFSET = 1 << 30  # larger than the total current of any slot, µA; a multiple of 2^16
 
 Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
 
@@ -126,7 +126,7 @@ class KernelLists:
         if len(scaled) > len(first) - 1:
             scaled = np.add.reduceat(scaled, first[:-1], axis=0)
         # The offset makes sums positive, so truncation rounds down; 16-bit differences cancel it.
-        scaled += _ABOVE + 0.5
+        scaled += _OFFSET + 0.5
         rounded = scaled.astype(np.int64).astype(np.int16)
         current_ua = rounded.copy()
         current_ua[:, 1:] -= rounded[:, :-1]

@@ -162,7 +162,7 @@ class PulseRates:
 
 
 class _Pass(NamedTuple):
-    """Planned pass: end by the time of frames, net charge, (E,), and largest net charge."""
+    """Planned pass: end of its slots, net charge of electrodes, (E,), and its largest magnitude."""
 
     end_us: float
     most_pc: float
@@ -172,8 +172,8 @@ class _Pass(NamedTuple):
 class NetPlan:
     """Planner of periods that keep the net charge of any second below its limit.
 
-    If passes of one sign would exceed the limit at their rate, they are slowed evenly, beginning
-    when half of the limit is used. After a change of the image, passes may wait longer.
+    If passes with net charges of one sign would exceed the limit at their rate, they are slowed
+    evenly, beginning when half of the limit is used. After a change of the image, passes may wait.
     """
 
     def __init__(self, electrodes: int) -> None:
@@ -240,7 +240,7 @@ class SchedulerContext:
     makers: dict[Afferent, PointSlots | FrameSlots] = field(default_factory=dict)
     """Slot makers, by class."""
     table: KernelTable | None = None  # quantized kernels, if slots are sums of them
-    net: NetPlan | None = None  # plan for net charge; None if recharge phases return it
+    net: NetPlan | None = None  # planner of net charge; None with recharge phases
 
 
 class ScanScheduler:

@@ -249,10 +249,10 @@ class _Sent(NamedTuple):
     flows: bool
 
     def cut_short(self, now_ns: int) -> tuple[int, list[_Pass], int]:
-        """End the repetitions because a new sequence arrives. Return the start of the new sequence,
-        after the current pass; the repetitions that have begun, except those long ago; and the
-        number of repetitions that will not begin."""
-        # A first pass that has not begun yet will begin.
+        """Return how a new sequence ends the repetitions: its start, after the current pass; the
+        repetitions that have begun, except those long ago; and the number of repetitions that will
+        not begin."""
+        # The first pass will be delivered, even if it has not begun yet.
         first, period_ns = self.first, self.period_ns
         begun = max(1, min(self.times, (now_ns - first.start_ns) // period_ns + 1))
         delays_ns = [
@@ -316,7 +316,7 @@ class Exposure:
         self._second_at_most = self._net_at_most = 0.0
 
     def net_rest_ns(self, now_ns: int) -> int:
-        """Return the time, ns, until a new session can use half of the net charge of a second.
+        """Return the time, ns, until a new session can use half of the limit of net charge.
 
         Plans of a new session do not include pulses of the old session. With less than half of
         the limit left, the gate could reject planned sequences.

@@ -43,7 +43,7 @@ class Slots(NamedTuple):
     sums: KernelLists | None = None  # kernels that add up to the currents
 
 
-_JUDGED_MM = 0.5
+_PROOF_SPACING_MM = 0.5
 """Smallest node spacing for the proofs of independent sites, which are 25 times faster than with
 0.1 mm and have the same results for the shipped arrays."""
 
@@ -117,7 +117,7 @@ class FrameSlots:
         self._table, self._rows = table, np.concatenate([shared, points]).astype(np.uint16)
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
-        """Return slots, with proof, for the activation of one class, (E,), at an intensity.
+        """Return slots and their selectivity, for the activation of a class, (E,), at an intensity.
 
         A point gets the activation that its kernel alone would cause, within ``frames.uneven`` of
         the profile. That kernel carries the threshold current times intensity at the faintest
@@ -190,10 +190,10 @@ class FrameSlots:
 
 
 def _coarse(profile: Profile) -> Profile:
-    """Return a profile with a node spacing of at least `_JUDGED_MM`."""
-    if profile.skin.node_spacing_mm >= _JUDGED_MM:
+    """Return a profile with a node spacing of at least `_PROOF_SPACING_MM`."""
+    if profile.skin.node_spacing_mm >= _PROOF_SPACING_MM:
         return profile
-    skin = profile.skin.model_copy(update={"node_spacing_mm": _JUDGED_MM})
+    skin = profile.skin.model_copy(update={"node_spacing_mm": _PROOF_SPACING_MM})
     return profile.model_copy(update={"skin": skin})
 
 

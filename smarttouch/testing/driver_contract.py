@@ -143,7 +143,7 @@ class DriverContract:
         Steps to which the device rounds currents and times; rounded currents must sum to zero.
     keeps_order : bool
         Whether slots are delivered in the order of the sequence; False if the device scans by
-        index.
+        electrode number.
     counts_passes : bool
         Whether the device counts passes; False if it repeats its scan until it receives another
         command.
@@ -193,7 +193,7 @@ class DriverContract:
         raise NotImplementedError("override decode: return the pulses that the device delivers")
 
     def pulses(self) -> list[SentPulse]:
-        """Return the pulses sent to the device; override it if the device does not receive
+        """Return the pulses sent to the device; override this method if the device does not receive
         bytes."""
         return self.decode(self.received())
 
@@ -275,8 +275,8 @@ class DriverContract:
         assert self.calls.write.call_count == 5
 
     def test_what_the_device_is_sent_is_what_was_proved(self, new_board: NewBoard) -> None:
-        """Send slots of each electrode against all others, slots of two electrodes, recharge phases
-        and repetitions, and compare."""
+        """Compare pulses with plans: each electrode as a site, slots of two electrodes, a recharge
+        phase, and repetitions."""
         every, sent = list(range(self.electrodes)), [(self.sequence(0), 1)]
         with new_board() as board:
             can = board.capabilities
