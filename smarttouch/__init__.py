@@ -1,7 +1,7 @@
 """SmartTouch: touch what a sensor sees.
 
 The package converts frames of print to tactile images, and tactile images to scan sequences of
-currents. It proves each sequence safe before it sends it to an electro-tactile display board::
+currents. Each sequence is proved safe before it is sent to an electro-tactile display board::
 
     import smarttouch as st
 
