@@ -1,1 +1,1 @@
-"""Boards and their drivers, which send proved scan sequences; and stopping of boards."""
+"""Boards and their drivers, which send proved scan sequences; run registry and shutdown."""

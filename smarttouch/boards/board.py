@@ -1,4 +1,4 @@
-"""Display board: safety gate, stop, recovery and sender thread around a driver."""
+"""Board: adds a safety gate, stop, recovery and a sender thread to a driver."""
 
 import contextlib
 import os
@@ -39,10 +39,10 @@ from smarttouch.stimulation.sequence_limits import Dose
 
 __all__ = ["Board", "BoardReport", "Capabilities"]
 
-FARTHEST_NS = 10_000_000_000  # largest distance of planned starts: detects other clocks
-PROBES = 10  # attempts at a measuring scan, whose reading may be lost on a busy computer
+FARTHEST_NS = 10_000_000_000  # largest lead of a planned start; more means a time of another clock
+PROBES = 10  # attempts at each measuring scan: a busy computer may lose its readings
 ENDS_WITHIN_S = 3.0  # longest wait for the end of the sender thread
-QUEUED_S = 0.5  # time, in addition to four periods, after which a queued sequence is replaced
+QUEUED_S = 0.5  # `send` waits this long, plus four periods, before it replaces a queued sequence
 RESTARTS = 3  # attempts to reconnect a lost board
 _MOST_VOLTS = 64
 
@@ -51,7 +51,7 @@ Measured = tuple[ScanSequence, NDArray[np.float32]]
 
 @final
 class Board:
-    """Display board, which sends only sequences proved by its safety gate.
+    """Electrode board that sends only sequences that its safety gate has proved safe.
 
     Parameters
     ----------
@@ -67,9 +67,10 @@ class Board:
     on_a_finger : bool
         Whether a finger may be on the board.
     claimed_time : bool
-        Whether the gate uses the times stated by sequences, for boards without a finger.
+        Whether the gate uses the times stated in sequences; only for boards that no finger can
+        touch.
     simulated_time : bool
-        Whether time advances only by the stated times, without waiting.
+        Whether the board never waits: time advances by the times stated in sequences.
 
     Attributes
     ----------
@@ -83,14 +84,14 @@ class Board:
     ramp : Ramp
         Ramp of written sequences, which limits the strength of the next one.
     acknowledged, refused, replaced, dropped_late : int
-        Numbers of sequences that the board has begun to deliver; that it has refused; that newer
-        ones replaced before they were sent; and that were dropped because they were late.
+        Numbers of sequences whose delivery has begun, that the board refused, that a newer
+        sequence replaced before they were sent, and that were dropped because they were late.
     force_n : float or None
         Finger force, if the board measures it.
     lifted : bool
         Whether the voltages of the last scan show that nothing touches the electrodes.
     notes : list of str
-        Sentences for the user after the run.
+        Messages for the user, shown after the run.
     """
 
     capabilities: Capabilities
@@ -113,7 +114,7 @@ class Board:
         if output is not None and output.wiring is not None and not driver.takes_wiring:
             raise BoardError(
                 "output.wiring is for boards whose outputs are wired by the user (etactilekit:): "
-                "remove it from the profile of this one"
+                "remove it from the profile of this board"
             )
         self.driver = driver
         self.on_a_finger: bool = on_a_finger
@@ -129,9 +130,8 @@ class Board:
         self.notes: list[str] = []
         self._output = output
         self._limits = limits.on(output)
-        # Only a host that times the pulses needs exact waits.
         self.clock: Clock = clock or MonotonicClock()
-        # With stated times nothing is late.
+        # A board that uses stated times never drops late sequences.
         self._late_ns = late_ns if self.announced else 2**62
         self._gate = SafetyGate(self._limits, None if claimed_time else self.clock)
         self.ramp: Ramp = self._gate.ramp
@@ -151,7 +151,7 @@ class Board:
         self._news = threading.Condition()
         self._waiting: ProvedSequence | None = None
         self._busy = False
-        self._failure: BoardError | None = None  # raised by the next call
+        self._failure: BoardError | None = None  # of the sender thread; the next call raises it
         self._over_s = 0.0  # end of the last written scans, by time.monotonic
         self._sender: threading.Thread | None = None
         self._ending = threading.Event()
@@ -165,8 +165,8 @@ class Board:
     def open(self) -> None:
         """Connect to the device and set all electrodes to zero.
 
-        From the start, other processes can stop a board that a finger may be on. Opening waits up
-        to a second if earlier sequences have used the net charge of a second.
+        From the start of this call, ``smarttouch stop`` stops a board that a finger may be on.
+        Opening waits up to a second if earlier sequences have used up the net charge of a second.
 
         Raises
         ------
@@ -178,12 +178,12 @@ class Board:
         """
         self._require_own()
         if self._opened:
-            raise BoardError("the board is open already: close it first")
+            raise BoardError("the board is already open: close it first")
         self._opened_by = os.getpid()
         if (record := reports.find_latch(self.device)) is not None:
             raise BoardLatchedError(
-                f"the board ({self.device}) is latched since {record}; have it checked, then clear "
-                "it with smarttouch devices clear"
+                f"the board ({self.device}) was latched on {record}; have the board checked, then "
+                "clear the fault with smarttouch devices clear"
             )
         enter(self)
         try:
@@ -191,7 +191,7 @@ class Board:
             self._gate.begin_session()
             self._zeroed = False
             self._stopped.clear()
-            # Keep this order: a halt from another thread is seen here or takes effect later.
+            # Clear before checking: a halt by another thread is seen here or sets the event later.
             if self._halted:
                 self._stopped.set()
             self._line.pause(self._gate.net_rest_ns() / 1e9)
@@ -202,7 +202,7 @@ class Board:
             self._opened = True
             self._line.require_running()
         except BaseException:
-            # Ctrl-C may arrive when the board is already open; then closing withdraws it.
+            # If Ctrl-C arrives after the board was opened, `close` also unregisters it.
             if self._opened:
                 self.close()
             else:
@@ -225,7 +225,7 @@ class Board:
         with self._news:
             self._waiting, self._failure, self._busy = None, None, False
         self._ready, self._is_lost, self._ending = True, False, threading.Event()
-        # In simulated time nothing happens between sequences.
+        # In simulated time nothing happens between sequences, so no thread is needed.
         if not self.simulated_time:
             self._sender = threading.Thread(
                 target=self._serve, args=(self._ending,), name="board sender", daemon=True
@@ -243,8 +243,8 @@ class Board:
             self._line.disconnect()
 
     def _recover(self, lost: LineLostError) -> None:
-        """Reconnect to a lost device, at zero, in up to three attempts. Raises BoardError if that
-        fails."""
+        """Reconnect to a lost device and set it to zero, in up to three attempts. Raises BoardError
+        if all fail."""
         self._is_lost = self._line.reopened = True
         self._close_driver()
         for left in reversed(range(RESTARTS)):
@@ -256,10 +256,10 @@ class Board:
             except OtherDeviceError as other:
                 raise BoardError(f"{lost}; {other}") from None
             except BoardError as again:
-                # The connection may be lost again.
+                # Try again only if the connection was lost again or the device may be starting.
                 if not left or not isinstance(again, LineLostError | SilentBoardError):
                     raise lost from None
-        # Nothing was delivered for a while: what comes next begins at zero.
+        # Nothing was delivered for a while, so the next sequence must begin at zero.
         self._gate.restart()
 
     def close(self) -> None:
@@ -299,7 +299,7 @@ class Board:
                     try:
                         self._line._put_at_zero()
                     except (BoardClosedError, LineLostError):
-                        # If a silent board is at zero, only the first loss needs a report.
+                        # A lost board that returns to zero by itself was reported when it was lost.
                         if not self._is_lost or self.capabilities.time_to_zero_ms is None:
                             raise
             self._zeroed = True
@@ -317,7 +317,7 @@ class Board:
 
     @property
     def device(self) -> str | None:
-        """Identity under which faults are recorded: USB serial number, else port; or None."""
+        """Identity under which faults are recorded: USB serial number, or else port, if any."""
         return None if self.driver.port is None else device_of(self.driver.port)
 
     @property
@@ -328,13 +328,13 @@ class Board:
     # -- sending -----------------------------------------------------------
 
     def send(self, sequence: ScanSequence, times: int = 1, due_ns: int | None = None) -> int:
-        """Prove a sequence by the safety gate, then send it.
+        """Let the safety gate prove a sequence, then send it.
 
         Parameters
         ----------
         sequence : ScanSequence
         times : int
-            Number of passes, unless a newer sequence arrives.
+            Number of passes; a newer sequence ends them early.
         due_ns : int, optional
             Planned start, by the board's clock; by default now.
 
@@ -354,7 +354,7 @@ class Board:
         BoardStoppedError
             If the board was stopped.
         BoardError
-            If the board is closed, has another size, or was lost.
+            If the board is closed, has another number of electrodes, or was lost.
         """
         if not self._opened or self._opened_by != os.getpid():
             self._require_own("sending")
@@ -364,18 +364,18 @@ class Board:
         due_ns = due_ns if due_ns is not None and self.announced else now_ns
         if due_ns - now_ns > FARTHEST_NS:
             raise BoardError(
-                f"due_ns is {(due_ns - now_ns) / 1e9:.3g} s from now, and at most "
-                f"{FARTHEST_NS / 1e9:g} s are possible: give a time by board.clock.now_ns()"
+                f"due_ns is {(due_ns - now_ns) / 1e9:.3g} s from now, more than the allowed "
+                f"{FARTHEST_NS / 1e9:g} s: compute it from board.clock.now_ns()"
             )
         if isinstance(times, (int, np.integer)) and times > LONGEST_REPEAT:
-            raise BoardError(f"{times} repetitions are not possible: at most {LONGEST_REPEAT}")
+            raise BoardError(f"times is {times}: give {LONGEST_REPEAT} at most")
         if sequence.recharge_ua is not None and not can.recharges:
             raise BoardError("this board cannot make a recharge phase: send sequences without one")
         proved = self._gate.prove(
             sequence, times, number=self._number + 1, due_ns=due_ns, late_ns=self._late_ns
         )
         if proved.peak_ua > 1000 * can.max_current_ma:
-            # In a driver, larger counts could wrap around and reverse the current.
+            # Larger counts could overflow in a driver, which could reverse the current.
             range_ma = f"at most {can.max_current_ma:g} mA, not {proved.peak_ua / 1000:g} mA"
             raise BoardError(f"this board makes {range_ma}: lower limits.current_ma")
         try:
@@ -389,12 +389,12 @@ class Board:
         raise failure
 
     def _not_sent(self, error: BoardError) -> BoardError:
-        """Return the error to raise for a sequence that was not sent, with the board at zero."""
-        # On a stopped board the stop explains any failure.
+        """Restart the ramp or the lost board, and return the error for a sequence not sent."""
+        # If the board was stopped, raise that error instead: the stop explains any failure.
         self._line.require_running()
         if isinstance(error, SequenceLateError):
             self.dropped_late += 1
-            # Nothing was delivered for a while: what comes next begins at zero.
+            # Nothing was delivered for a while, so the next sequence must begin at zero.
             self._gate.restart()
         elif isinstance(error, LineLostError):
             self._recover(error)
@@ -450,7 +450,7 @@ class Board:
             raise failure
 
     def _queue(self, proved: ProvedSequence) -> None:
-        """Queue a sequence for the sender thread; it replaces a waiting one."""
+        """Queue a sequence for the sender thread; replace a queued one that waits too long."""
         patience_s = QUEUED_S + 4e-6 * proved.sequence.period_us
         with self._news:
             self._news.wait_for(lambda: self._is_over or self._waiting is None, patience_s)
@@ -482,7 +482,7 @@ class Board:
                     self.driver.write(proved)
                 wait_s = self.driver.idle()
             except SequenceLateError as late:
-                # The next `send` reports this and restarts at zero.
+                # The next `send` raises this error and restarts at zero.
                 with self._news:
                     self.dropped_late += 1 + (self._waiting is not None)
                     self._waiting, self._failure = None, self._failure or late
@@ -505,7 +505,7 @@ class Board:
                 self._failure = fault
             self._news.notify_all()
         if not isinstance(fault, LineLostError):
-            # Otherwise the board would repeat its pattern.
+            # Without this the board would repeat its last pattern.
             with contextlib.suppress(BoardError):
                 self._line._put_at_zero()
 
@@ -532,7 +532,7 @@ class Board:
             self._gate.restart()
 
     def _probe(self, probe: ScanSequence) -> NDArray[np.float64]:
-        """Deliver a scan and return its voltages."""
+        """Deliver a measuring scan and return the voltage of each slot, (S,) V."""
         for again in range(PROBES):
             self.send(replace(probe, time_ns=probe.time_ns + again))
             self.drain()
@@ -549,8 +549,8 @@ class Board:
         )
 
     def report(self) -> BoardReport:
-        """Return the report of delivered sequences, by the device if it has one, else by the
-        host."""
+        """Return the report of delivered sequences: the device's if it reports, otherwise the
+        host's."""
         reported = self.driver.status()
         if reported is not None:
             return reported
@@ -563,9 +563,9 @@ class Board:
         Returns
         -------
         (int, int) or None
-            Start by `clock`, ns, too late by the shortest delay of the line; and by the board's
-            clock, µs since it was switched on. None if the board has not reported it yet, never
-            does, or did so more than some seconds ago.
+            Start by `clock`, ns, and by the board's clock, µs since it was switched on. The first
+            is late by the shortest delay of the line. None if the board does not report starts,
+            has not reported this start yet, or has reported many later ones.
         """
         return self._starts.get(number)
 
@@ -575,7 +575,7 @@ class Board:
         Returns
         -------
         list of (ScanSequence, ndarray)
-            A delivered sequence, and the voltage of its source at the end of each slot, (S,) V.
+            A delivered sequence, and the voltage of the source at the end of each slot, (S,) V.
         """
         return [self._volts.popleft() for _ in range(len(self._volts))]
 
@@ -590,12 +590,12 @@ class Board:
         return self._gate.dose
 
     def _require_own(self, use: str = "") -> None:
-        """Raise BoardError in a forked process, as the board belongs to its parent; and, with
-        ``use``, if the board is not open."""
+        """Raise BoardError in a forked process, because its parent owns the board. With ``use``,
+        the name of an action, also raise it if the board is not open."""
         if self._opened and self._opened_by != os.getpid():
             raise BoardClosedError(
-                f"process {self._opened_by} has the board open, and a process that it forked may "
-                "not use it: make a display here"
+                f"the board belongs to process {self._opened_by}, which forked this process: make "
+                "a new display in this process"
             )
         if use and not self._opened:
             raise BoardClosedError(f"the board is not open: open it before {use}")

@@ -48,20 +48,20 @@ __all__ = ["Driver", "Line"]
 
 PIECE = 4096  # bytes written at once: a stop waits for one piece, not for a complete packet
 WRITE_S = 0.6  # longest wait of a stop for one write: ports give up after 0.5 s
-BLOCKED_S = 1.0  # longest wait of zero for a blocked write
-RECOVER_S = 3.0  # longest wait for a lost port
+BLOCKED_S = 1.0  # longest wait of `Driver.zero` for a write that blocks
+RECOVER_S = 3.0  # longest wait for a lost port to come back
 _MOST_STARTS = 256
 
 
 class Driver(ABC):
-    """Base of drivers, which know the wire format of one kind of device.
+    """Base class of drivers. A driver knows the wire format of one kind of device.
 
-    The board has the safety gate, ramp, clock, stop, sender thread and recovery. It calls the
-    methods below. A driver sends everything through the `Line` that `open` receives, and reports to
-    it. It needs no lock, thread or clock.
+    `Board` has the safety gate, ramp, clock, stop, sender thread and recovery. It calls the methods
+    below. A driver sends everything through the `Line` that `open` receives, and reports deliveries
+    to this line. A driver needs no lock, thread or clock.
 
-    Parameters of a driver opened by URL are the text after the colon, a copy of the limits, the
-    profile's table ``output`` or None, and options by keyword.
+    To open a URL, a driver is called with the text after the colon, a copy of the limits, the
+    profile's table ``output`` or None, and the options of the URL by keyword.
     """
 
     default_profile: ClassVar[str] = DEFAULT_PROFILE
@@ -69,7 +69,7 @@ class Driver(ABC):
     takes_wiring: ClassVar[bool] = False
     """Whether users wire the outputs, so that profiles may contain ``output.wiring``."""
     keeps_kernels: ClassVar[bool] = False
-    """Whether the device can store kernels; slots are then sums of them."""
+    """Whether the device can store kernels; slots are then planned as sums of kernels."""
     timing: ScanTiming = ScanTiming()
     """Timing constraints of the device, known before it is opened."""
     port: str | None = None
@@ -79,7 +79,7 @@ class Driver(ABC):
     def open(self, line: "Line", limits: SafetyLimits) -> Capabilities:
         """Connect, identify the device, and set all electrodes to zero.
 
-        After a lost connection this is called again, with ``line.reopened`` set.
+        After a lost connection the board calls this again, with ``line.reopened`` set.
 
         Parameters
         ----------
@@ -91,15 +91,15 @@ class Driver(ABC):
         Raises
         ------
         BoardError
-            If another device, or none, answers.
+            If a wrong device answers, or none.
         """
 
     @abstractmethod
     def write(self, proved: ProvedSequence) -> None:
         """Send a sequence to the device, by `Line.write` or within `Line.current`.
 
-        If the host times the passes (`Capabilities.host_timed`), this lasts as long as they do, and
-        returns early if `Line.has_newer`. Errors are then raised by the next `Board.send`.
+        If the host times the passes (`Capabilities.host_timed`), this returns after the last pass,
+        or earlier if `Line.has_newer`. The next `Board.send` then raises any error.
         """
 
     @abstractmethod
@@ -109,16 +109,16 @@ class Driver(ABC):
         Raises
         ------
         BoardError
-            Unless all electrodes are certainly at zero.
+            If any electrode might not be at zero.
         """
 
     def close(self) -> None:  # noqa: B027, optional for drivers
-        """Release resources of `open`, also after `open` has failed; the board closes the line."""
+        """Release the resources of `open`, even if `open` failed. The board closes the line."""
 
     def idle(self) -> float | None:
         """Send heartbeats and read answers between writes, in the board's sender thread.
 
-        It is called after opening, and after each `write` by that thread.
+        The thread calls this after opening and after each `write`.
 
         Returns
         -------
@@ -136,10 +136,10 @@ class Driver(ABC):
 
 
 class Line:
-    """Line of a board to its device; drivers must use only this.
+    """Connection of a board to its device; drivers must send and receive only through it.
 
-    It holds the lock of `Board.stop` during writes, and rejects sequences that are late or rise too
-    fast. After a stop it rejects everything except writes of `Driver.zero`.
+    It holds the lock of `Board.stop` during writes. It rejects sequences that are late or raise the
+    intensity too fast. After a stop it rejects everything except writes of `Driver.zero`.
 
     Attributes
     ----------
@@ -165,19 +165,19 @@ class Line:
         self.now_ns: Callable[[], int] = board.clock.now_ns
         self.identity: UsbIdentity | None = None
         self.recording: Path | None = None
-        self._entries: SimpleQueue[str] = SimpleQueue()  # of the recording; an empty one ends it
+        self._entries: SimpleQueue[str] = SimpleQueue()  # of the recording; an empty string ends it
         self._port: Port | None = None
         self._stopped = threading.Event()
         # Reentrant, because a signal handler may stop the board while its thread is writing.
         self._lock, self._dialogue = threading.RLock(), threading.RLock()
-        self._zeroing: list[int] = []  # threads that are writing zero, once for each nested block
+        self._zeroing: list[int] = []  # ids of threads in `Driver.zero`, one for each nested call
 
     # -- the connection ----------------------------------------------------
 
     def connect(
         self, name: str, wrap: Callable[[Port], Port] = lambda port: port, baudrate: int = 921600
     ) -> None:
-        """Open a port; after a lost connection wait until it is back.
+        """Open a port; after a lost connection, wait until the port is back.
 
         Parameters
         ----------
@@ -190,7 +190,7 @@ class Line:
         Raises
         ------
         BoardError
-            If it cannot be opened.
+            If the port cannot be opened.
         OtherDeviceError
             If another device is at the port.
         """
@@ -225,12 +225,12 @@ class Line:
         ----------
         data : bytes
         proved : ProvedSequence, optional
-            Sequence that the bytes make the device deliver; None for bytes without current.
+            Sequence that the device delivers from these bytes; None if they cause no current.
 
         Raises
         ------
         SequenceLateError
-            If the sequence is late, or would rise too fast.
+            If the sequence is late, or would raise the intensity too fast.
         BoardStoppedError
             If the board was stopped, unless `Driver.zero` calls this.
         LineLostError
@@ -249,8 +249,8 @@ class Line:
 
     @contextlib.contextmanager
     def current(self, proved: ProvedSequence | None = None) -> Iterator[None]:
-        """Hold the lock of `Board.stop` for a write to a device without a port. Arguments and
-        errors are as for `write`. At the end of the block the sequence counts as written."""
+        """Hold the lock of `Board.stop` during a block that writes to a device without a port.
+        Arguments and errors are those of `write`. At its end the sequence counts as written."""
         board, begun, zeroing = self.board, False, threading.get_ident() in self._zeroing
         # Signals are deferred for boards that a stop must reach.
         with uninterrupted() if board.announced else contextlib.nullcontext():
@@ -262,9 +262,9 @@ class Line:
                 if proved is not None:
                     if type(proved) is not ProvedSequence:
                         kind = type(board.driver).__name__
-                        raise BoardError(f"{kind} sends what the gate has not proved")
+                        raise BoardError(f"{kind} sent an unproved sequence: send `proved`")
                     if proved.session != board._gate.session:
-                        raise BoardStoppedError("the board was closed before this: begin at zero")
+                        raise BoardStoppedError("the board was opened again: start at intensity 0")
                     permits = board._gate.ramp.permits
                     if self.now_ns() > proved.write_before_ns or not permits(
                         proved.strength_ppb, proved.sequence.time_ns
@@ -283,17 +283,17 @@ class Line:
             finally:
                 self._lock.release()
                 if begun and self._stopped.is_set() and not zeroing:
-                    # A stop may not have waited for this write.
+                    # The stop may have set zero before this write ended: set zero again.
                     self._put_at_zero()
 
     def later(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
-        """Return a proved sequence with a later start, by `now_ns`: a repetition timed by the host,
-        or a sequence that waited for its turn.
+        """Return a copy of a proved sequence with a later start by `now_ns`: a repetition timed by
+        the host, or a sequence that waited for an earlier one.
 
         Raises
         ------
         SequenceLateError
-            If the start is later than repetitions and the longest wait allow.
+            If the start is too late, even after all repetitions and the longest wait for others.
         """
         try:
             return self.board._gate.repeated(proved, due_ns)
@@ -303,7 +303,7 @@ class Line:
     # -- reading -----------------------------------------------------------
 
     def read(self, count: int, within_s: float) -> bytes:
-        """Return the bytes received in time, at most ``count``."""
+        """Return at most ``count`` bytes, those received within ``within_s``."""
         with self._open_port("has vanished") as port:
             port.timeout = within_s
             data = bytes(port.read(count))
@@ -314,8 +314,8 @@ class Line:
     def ask(
         self, data: bytes, count: int, within_s: float, proved: ProvedSequence | None = None
     ) -> bytes:
-        """Write bytes and return the answer, at most ``count`` bytes, without queries of other
-        threads in between. ``proved`` is as for `write`."""
+        """Write a query and return the answer, at most ``count`` bytes. Queries of other threads
+        wait until then. ``proved`` is that of `write`."""
         with self._dialogue:
             self.discard_input()
             self.write(data, proved)
@@ -328,7 +328,7 @@ class Line:
                 note = f"another program reads from {self.name}: close it (ModemManager or a "
                 note += "serial monitor?)"
                 self.board.notes += [note] * (note not in self.board.notes)
-                # Always pause: this thread may have priority over all others.
+                # Pause: with real-time priority this loop could block all other threads.
                 time.sleep(0.001)
         if self.recording is not None:
             self._note("received", data or b"")
@@ -345,18 +345,18 @@ class Line:
             self._entries.put(json.dumps(entry))
 
     def _keep(self, path: Path) -> None:
-        """Write the recording, in a thread that delays neither pulses nor zero if the disk does."""
+        """Write the recording in a separate thread: a slow disk must not delay pulses or zero."""
         try:
             with open(path, "a", opener=owner_only) as file:
                 for entry in iter(self._entries.get, ""):
                     print(entry, file=file, flush=True)
         except OSError as failure:
             self.recording = None
-            self.board.notes.append(f"{path} ends early: {failure}")
+            self.board.notes.append(f"the recording {path} is incomplete: {failure}")
 
     @contextlib.contextmanager
     def _open_port(self, what: str) -> Iterator[Port]:
-        """Yield the port. Raises LineLostError if it fails."""
+        """Yield the port. Raises LineLostError, with ``what`` happened, if the port fails."""
         if (port := self._port) is None:
             raise BoardClosedError("the board is not connected: open it first")
         try:
@@ -402,9 +402,9 @@ class Line:
     def lost(self, what: str) -> LineLostError:
         """Return the error for a lost connection, as in ``lost("does not answer")``."""
         can, then = getattr(self.board, "capabilities", None), ""
-        # A watched port tells whether its watchdog has set the board to zero.
+        # Only a port with a watchdog can tell that the board was set to zero.
         if can is not None and not getattr(self._port, "at_zero", False):
-            then = "; the board repeats its last pattern: lift the finger, then switch it off"
+            then = "; it repeats its last pattern: lift the finger, then switch the board off"
             if can.time_to_zero_ms is not None:
                 then = f"; it shorts all electrodes within {can.time_to_zero_ms:g} ms of silence"
         return LineLostError(f"the board at {self.name} {what}{then}")
@@ -417,7 +417,7 @@ class Line:
             "and intensity restarts at zero"
         )
 
-    # -- what a driver reports, from any thread ------------------------------
+    # -- reports of a driver, from any thread ----------------------------------
 
     def started(self, proved: ProvedSequence, time_ns: int, board_us: int) -> None:
         """Report the start of a sequence, by `now_ns` and by the device's clock, µs."""
@@ -428,8 +428,8 @@ class Line:
             del starts[next(iter(starts))]
 
     def delivered(self, proved: ProvedSequence, scans: int, most: int | None = None) -> None:
-        """Report ``scans`` more passes of a sequence timed by the host; with ``most``, from
-        ``scans`` to ``most`` passes."""
+        """Report ``scans`` more passes of a sequence timed by the host. With ``most``, the number
+        of passes is uncertain: ``scans`` to ``most``."""
         board = self.board
         with board._news:
             again = proved.number == board._counted
@@ -440,8 +440,8 @@ class Line:
     def measured(
         self, sequence: ScanSequence, volts: NDArray[np.float32], lifted: bool | None = None
     ) -> None:
-        """Report the voltage of each slot of a delivered sequence, (S,) V, and whether it shows
-        that nothing touches the electrodes (None if unknown)."""
+        """Report the voltage of each slot of a delivered sequence, (S,) V. ``lifted`` tells whether
+        nothing touches the electrodes, by these voltages; None if unknown."""
         self.board._volts.append((sequence, volts))
         if lifted is not None:
             self.board.lifted = lifted
@@ -463,7 +463,7 @@ class Line:
     # -- for the board -----------------------------------------------------
 
     def _bar(self) -> None:
-        """Reject all current from now on, and wait for the end of the current write."""
+        """Reject all writes except zero from now on, and wait until a running write ends."""
         self._stopped.set()
         if self._lock.acquire(timeout=WRITE_S):
             self._lock.release()

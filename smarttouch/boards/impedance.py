@@ -17,19 +17,19 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 SATURATED = 0.97  # share of the compliance at which a source counts as saturated
 OPEN_FACTOR = 5.0
 SHORT_FACTOR = 0.1
-"""Share of the median impedance below which an electrode is shorted (our estimate); good ones
+"""Share of the median impedance below which an electrode is shorted (our estimate); good electrodes
 differ by a factor of two or three."""
 
 Array = NDArray[np.float64]
-Condition = Literal["good", "open", "short", "unsure"]  # unsure if measurements disagree
+Condition = Literal["good", "open", "short", "unsure"]  # unsure: repeated ones disagree
 
 
 @dataclass(frozen=True, eq=False)
 class Impedance:
     """Impedances of all electrodes, from one measurement."""
 
-    # (E,): voltage over current at the end of the measuring pulse, each electrode against the skin;
-    # infinite if the source was saturated
+    # (E,) impedance from each electrode to the skin: voltage over current at the end of the
+    # measuring pulse; infinite if the source was saturated
     kohm: NDArray[np.float64]
     condition: tuple[Condition, ...]
     current_ma: float  # current of the measuring pulse
@@ -51,12 +51,12 @@ def measure_by_probes(
     output: Output | None,
     can: Capabilities,
 ) -> Impedance:
-    """Measure the impedance of each electrode by sequences that rise from zero.
+    """Measure the impedance of each electrode by sequences whose current rises from zero.
 
     ``ask`` delivers a sequence and returns the voltage of each slot, (S,) V.
     """
     if not can.measures or can.compliance_v is None:
-        raise BoardError("this board does not measure: use a multimeter")
+        raise BoardError("this board does not measure voltages: use a multimeter")
     in_pairs = can.output == "weighted"
     for probe in probe_sequences(limits, output, in_pairs=in_pairs):
         volts = ask(probe)
@@ -71,7 +71,7 @@ def measure_by_probes(
 
 def _from_pairs(probe: ScanSequence, volts: Array, compliance_v: float) -> Impedance:
     """Return impedances from the voltages of pairs, I (Zᵢ + Zⱼ), by least squares over conducting
-    pairs. An electrode without such a pair is open."""
+    pairs. An electrode without a conducting pair is open."""
     level_ua = int(probe.current_ua.max(initial=0))
     conducts = volts < SATURATED * compliance_v
     pairs = (probe.current_ua[conducts] != 0).astype(np.float64)
@@ -82,8 +82,8 @@ def _from_pairs(probe: ScanSequence, volts: Array, compliance_v: float) -> Imped
 def judge(volts: Array, current_ma: float | Array, compliance_v: float) -> Impedance:
     """Return impedances from the voltages of each electrode against all others, (E,).
 
-    The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ). It is solved by iteration, which converges
-    because the parallel return is small.
+    The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ). Iteration solves this equation for Z. It
+    converges because the impedance of the parallel return path is small.
     """
     total = np.asarray(volts, np.float64) / np.asarray(current_ma, np.float64)
     saturated = np.asarray(volts) >= SATURATED * compliance_v

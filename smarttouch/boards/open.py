@@ -1,4 +1,4 @@
-"""Boards by URL."""
+"""Boards made from a URL, such as ``link:/dev/ttyACM0``."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,15 +30,15 @@ _WITHOUT_FINGER: dict[str, dict[str, Any]] = {
     "memory": {"on_a_finger": False, "claimed_time": True},
     "simulated": {"on_a_finger": False, "claimed_time": True, "simulated_time": True},
 }
-"""Boards that no finger can touch. All others, including those of other packages, may have a
-finger, and use the machine's clock."""
+"""Boards that no finger can touch, with options of `Board`. On all others, including those of other
+packages, there may be a finger; these use the machine's clock."""
 
 
 def make_board(
     url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
 ) -> Board:
-    """Return the closed board for a URL, which may contain options of its driver, as in
-    ``emulator:?books=FOLDER``, and ``record=FILE``, a new file for what its line carries."""
+    """Return a board, still closed, for a URL. The URL may contain options of the driver, as in
+    ``emulator:?books=FOLDER``, and ``record=FILE``, a new file that records its line."""
     opener, rest = BOARDS.find(url)
     rest, from_url = read_options(opener, rest, BoardError, ("output",), record=Path)
     path = from_url.pop("record", None)
@@ -46,8 +46,8 @@ def make_board(
     BOARDS.require_kind(driver, url)
     board = Board(driver, limits, output, **_WITHOUT_FINGER.get(url.partition(":")[0], {}))
     if path and (driver.port is None or path.exists() or not path.parent.is_dir()):
-        needs = "a new file in a folder that exists, and a board with a line"
-        raise BoardError(f"record={path} needs {needs}: {url}")
+        needs = "give a new file in an existing folder, and a board with a port"
+        raise BoardError(f"cannot record {url} to {path}: {needs}")
     board._line.recording = path
     return board
 

@@ -1,4 +1,4 @@
-"""Reports of a board: its capabilities, delivery statistics, impedances and faults."""
+"""Reports of a board: its capabilities, delivery statistics and faults."""
 
 import hashlib
 import time
@@ -33,8 +33,8 @@ class Capabilities:
     acknowledges: bool = False
     """Whether the board reports the start of each sequence."""
     host_timed: bool = False
-    """Whether the host sets the time of each pass. Then `Driver.write` returns after the last pass,
-    and reports each. The sender thread calls `write`; a newer sequence replaces a waiting one."""
+    """Whether the host times each pass. The sender thread then calls `Driver.write`, which reports
+    each pass and returns after the last. A newer sequence replaces a waiting one."""
     measures: bool = False
     """Whether the board measures the voltage of each slot."""
     force: bool = False
@@ -52,13 +52,13 @@ class Capabilities:
     most_kernels: int = 0
     """Largest number of stored kernels."""
     packet_bytes: int | None = None
-    """Largest decoded packet, if limited."""
+    """Size of the largest decoded packet, bytes, if limited."""
     kept_ms: float | None = None
-    """Time from the end of this program to zero, if a watchdog process ensures it."""
+    """Longest time from the end of this program to zero, if a watchdog process sets zero."""
 
     def describe(self) -> list[tuple[str, str]]:
         """Return the capabilities as names and values, for display."""
-        silence = "repeats its last pattern forever: lift the finger before you unplug it"
+        silence = "repeats its last pattern forever: lift the finger before you unplug the board"
         if self.time_to_zero_ms is not None:
             silence = f"no current {self.time_to_zero_ms:g} ms after the host's last byte"
         if self.kept_ms is not None:
@@ -78,8 +78,8 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class BoardReport:
-    """Report of what a board has delivered since it was opened. If the board itself reports, maxima
-    are since it was switched on."""
+    """Counts and maxima of the delivery since a board was opened. Maxima that the board itself
+    reports count from when it was switched on."""
 
     sequences: int
     slots: int
@@ -89,23 +89,23 @@ class BoardReport:
     max_current_ma: float
     max_charge_uc: float
     max_net_charge_uc: float
-    """Largest charge left on an electrode after a discharge; in a host's report, sum of all
-    pulses."""
+    """Largest charge left on an electrode after a discharge; in a host's report, the largest net
+    charge of all pulses of an electrode."""
     refused_packets: int = 0
-    """Number of packets refused by the board, because they were old or of another session."""
+    """Number of packets that the board refused because they were old or of another session."""
     is_busy: bool = False
     """Whether the board still has sequences to deliver."""
     refused_by_host: int = 0
-    """Number of packets from the board that were old, of another session, or not requested."""
+    """Number of board packets refused as old, of another session, or not requested."""
     by: Literal["board", "host"] = "board"
     """Author of the report, board or host."""
     most_pulses: int | None = None
-    """Upper bound of slots if the host knows only a range; slots and pulses are then lower
+    """Upper bound of pulses, if the host knows only a range; slots and pulses are then lower
     bounds."""
 
 
 class HostStatistics:
-    """Delivery statistics counted by the host, in ``report``."""
+    """Delivery statistics that the host counts; ``report`` has the result."""
 
     def __init__(self, electrodes: int) -> None:
         self.report: BoardReport = BoardReport(0, 0, 0, 0, 0.0, 0.0, 0.0, by="host", most_pulses=0)
@@ -139,11 +139,11 @@ class HostStatistics:
 
 # A fault latches a board: it cannot be opened until a person clears the fault. The record is a
 # small file in the user's state folder, named by a digest of the device (USB vendor, product and
-# serial number, else port). It contains "DATE: reason"; older ones are JSON.
+# serial number, else port). It contains "DATE: reason"; records of old versions are JSON.
 
 
 def latch(device: str, reason: str) -> None:
-    """Record a fault of a board; the first record stays."""
+    """Record a fault of a board, unless it has a record."""
     if find_latch(device) is None:
         path = _record(device)
         make_folder(path.parent)
@@ -158,11 +158,11 @@ def find_latch(device: str | None) -> str | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        return f"?: its record cannot be read ({error})"
+        return f"an unknown date: its record cannot be read ({error})"
 
 
 def clear_latch(device: str | None) -> str | None:
-    """Remove the record of a board; return its content like `find_latch`."""
+    """Remove the fault record of a board, and return its content as `find_latch` does."""
     record = find_latch(device)
     if device is not None:
         _record(device).unlink(missing_ok=True)

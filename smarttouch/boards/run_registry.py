@@ -1,9 +1,9 @@
 """The run registry: a folder in which each run that may drive a finger has an entry.
 
 ``runs/ID.json`` describes a run. ``runs/ID.lock`` is locked until its process ends in any way. To
-stop a run, `stop_all` writes ``runs/ID.stop``. The run checks for it every 50 ms, sets its boards
-to zero, and renames the file to ``ID.zero`` or ``ID.unconfirmed``. Processes are never signaled:
-process id and start time only show which run has ended or did not answer.
+stop a run, `stop_all` writes ``runs/ID.stop``. The run looks for this file every 50 ms, sets its
+boards to zero, and renames the file to ``ID.zero`` or ``ID.unconfirmed``. No process is signaled:
+process id and start time only tell whether a run has ended, and name it in messages.
 """
 
 import json
@@ -40,7 +40,7 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True)
 class _Run:
-    """Run described by its file; the host is empty if the file cannot be read."""
+    """Run, as described by its file ``ID.json``; ``host`` is empty if the file is unreadable."""
 
     id: str
     host: str = ""
@@ -48,13 +48,13 @@ class _Run:
     namespace: str = ""
     pid: int = 0
     start_ns: int = 0  # start time of the process; 0 if unknown
-    current_ua: int = 0  # largest total current of all its boards
+    current_ua: int = 0  # largest total current of all boards of the run
 
     @classmethod
     def read(cls, run_id: str) -> "_Run":
         with suppress(OSError, ValueError, TypeError):
             run = cls(**json.loads(_read(registry_folder() / f"{run_id}.json")) | {"id": run_id})
-            # Reject files of other programs, with other types.
+            # The sum raises TypeError for a file of another program, with other types.
             if run.host and run.pid + run.start_ns + run.current_ua:
                 return run
         return cls(run_id)
@@ -78,7 +78,7 @@ class _Run:
 
     @property
     def is_here(self) -> bool:
-        """Whether its process id is valid in this PID namespace."""
+        """Whether the process id of the run is valid in this PID namespace."""
         return (self.host, self.boot, self.namespace) == _place()
 
     @property
@@ -94,22 +94,22 @@ class _Run:
 
     @property
     def has_ended(self) -> bool:
-        """Whether its process has certainly ended."""
+        """Whether the process of the run has certainly ended."""
         if not self.is_here:
             return False
         return _start_ns(self.pid) != self.start_ns if self.start_ns else not self.is_locked
 
     def answer(self, until_s: float) -> Answer:
-        """Wait for the answer of a run to a stop, and describe the result."""
+        """Wait until the run has answered a stop, and describe the result."""
         name, late = self.name, False
         while not late:
             late = time.monotonic() > until_s
-            # Keep this order: a run may answer just before it ends.
+            # Check for the end before the answer: a run may answer just before it ends.
             ended = self.has_ended
             withdrawn = registry_folder().exists() and not (self.has("json") or self.is_locked)
             if self.has("unconfirmed"):
                 return Answer(f"{name} could not confirm zero: switch the board off")
-            # A run withdraws only after its boards are closed, perhaps before the stop.
+            # A run removes its entry after it closed its boards, perhaps even before the stop.
             if withdrawn or (self.has("zero") and not self.has("stop")):
                 self.remove("stop")
                 return Answer(f"{name} has confirmed zero", at_zero=True)
@@ -120,10 +120,10 @@ class _Run:
             return Answer(f"{name} did not answer: switch the board off")
         if self.host not in ("", socket.gethostname()):
             return Answer(f"1 run is on host {self.host}: stop it there")
-        # The file is from an earlier boot or from a container, or is invalid. A living run ends
-        # without it.
+        # The file is invalid, or from an earlier boot or a container. If the run still exists, it
+        # ends when its files are gone (`_watch`).
         self.remove("json", "lock", "stop")
-        return Answer(f"{name} did not answer: if it still drives a board, switch that off")
+        return Answer(f"{name} did not answer: if it still drives a board, switch the board off")
 
 
 class RunEntry:
@@ -140,7 +140,7 @@ class RunEntry:
         make_folder(registry_folder())
         flags = os.O_RDWR | os.O_CREAT | O_NOFOLLOW
         self._lock_number = os.open(self._run.path("lock"), flags, 0o600)
-        # Without file locks the run is still asked to stop.
+        # If the file cannot be locked, a stop still reaches this run.
         try_lock(self._lock_number)
         self._announce(0)
         self._stop_file = str(self._run.path("stop"))
@@ -152,8 +152,8 @@ class RunEntry:
         return os.path.lexists(self._stop_file)
 
     def declare(self, current_ua: int, most_ua: int = 0) -> int:
-        """Record the total current of this process's boards, and return the sum over all runs, µA.
-        If the sum would exceed ``most_ua``, nothing is recorded."""
+        """Record the total current of this process's boards, µA. Return the sum over all runs, or
+        this total if it does not grow. Record nothing if the sum exceeds ``most_ua``."""
         if current_ua <= self._run.current_ua:
             self._announce(current_ua)
             return current_ua
@@ -162,8 +162,8 @@ class RunEntry:
             while not try_lock(file.fileno()):
                 if time.monotonic() > deadline_s:
                     raise SmartTouchError(
-                        f"another program has held {file.name} for {_LOCK_S:g} s: end it and try "
-                        "again"
+                        f"another program has held {file.name} for {_LOCK_S:g} s: end that "
+                        "program and try again"
                     )
                 time.sleep(0.01)
             total_ua = current_ua + sum(
@@ -176,7 +176,7 @@ class RunEntry:
         return total_ua
 
     def withdraw(self) -> None:
-        """Remove the entry; tell a waiting stop whether all boards have confirmed zero."""
+        """Remove the entry, and tell a waiting stop whether all boards have confirmed zero."""
         self._over.set()
         if self.lost_a_board:
             with suppress(OSError):
@@ -197,7 +197,7 @@ class RunEntry:
         looks = 0
         while not self._over.wait(_LOOK_S):
             looks, reason = looks + 1, "smarttouch stop" * self.is_asked
-            # Without its files a stop cannot find this run. Errors of the disk are ignored.
+            # End a run whose files are gone: no stop could find it. Ignore disk errors.
             for kind in ("json", "lock") if looks % _LOOKS_PER_CHECK == 0 else ():
                 with suppress(OSError):
                     if not (reason or self._run.path(kind).exists() or self._over.is_set()):
@@ -207,21 +207,21 @@ class RunEntry:
 
     def _answer(self, at_zero: bool) -> None:
         with suppress(OSError):
-            # Rename instead of writing, which a full disk would prevent.
+            # Rename the file: on a full disk, writing a new one would fail.
             self._run.path("stop").replace(self._run.path("zero" if at_zero else "unconfirmed"))
 
 
 def stop_all() -> list[Answer]:
     """Stop all registered runs of this user, and prevent running programs from opening boards.
 
-    Return the result for each run. The wait for answers is 3 s. An error with one run does not
-    prevent stopping others.
+    Return the result for each run, after at most 3 s. An error with one run does not prevent
+    stopping others.
     """
     global _begun_ns
     problems, asked = [], []
-    # This program may still set a board to zero itself.
+    # The mark below does not apply to this program, which may still set a board to zero.
     _begun_ns = now_ns()
-    # Write the mark first: a run that is not listed yet sees it before it opens a board.
+    # Write the mark before listing: a run not listed yet sees it before it opens a board.
     try:
         make_folder(registry_folder())
         replace_file(registry_folder() / "stopped", f"{_place()[1]} {_begun_ns}".encode())
@@ -234,16 +234,16 @@ def stop_all() -> list[Answer]:
             run.remove("json", "lock", "stop", "zero", "unconfirmed")
             continue
         try:
-            # An unconfirmed run may confirm now; a confirmed zero is permanent.
+            # A run that could not confirm zero may do so now; a confirmed zero is permanent.
             run.remove("unconfirmed")
             run.path("stop").touch(0o600)
             asked.append(run)
         except OSError as error:
-            problems.append(f"{run.name} cannot be asked ({error}): switch the board off")
+            problems.append(f"{run.name} cannot be asked to stop ({error}): switch the board off")
     deadline_s = time.monotonic() + ANSWER_S
     answers = [run.answer(deadline_s) for run in asked]
-    # Start times have steps of 10 ms; wait, so that programs started afterwards are later than the
-    # mark.
+    # Start times of processes have a resolution of 10 ms. Wait, so that programs started after this
+    # call are later than the mark.
     time.sleep(0.02)
     return [*answers, *map(Answer, problems)]
 
@@ -271,7 +271,7 @@ def _start_ns(pid: int) -> int:
         return 0
 
 
-_begun_ns = _start_ns(os.getpid()) or now_ns()  # start of the program, also for its forks
+_begun_ns = _start_ns(os.getpid()) or now_ns()  # start of the program; its forks inherit it
 
 
 def _place() -> tuple[str, str, str]:
@@ -292,7 +292,7 @@ def _listed() -> list[_Run]:
     except OSError as error:
         message = f"cannot look for runs in {error.filename}: {error.strerror}"
         raise SmartTouchError(message) from None
-    # Also use lock files: a listing may miss a file that is being replaced.
+    # Also look at lock files: a listing may miss a JSON file that is being replaced.
     names = sorted({path.stem for path in paths if path.suffix in (".json", ".lock")})
     runs = map(_Run.read, names)
     return [run for run in runs if run.path("json").exists() or run.is_locked]

@@ -31,11 +31,11 @@ ENDS_WITHIN_S = 5.0  # time for a command to end after its boards are at zero
 class Command:
     """Running command of the command line.
 
-    If ``orderly``, it ends by itself after a request to ``stop``; otherwise a signal raises
-    `RunStopped`. ``give_up`` ends the process if that takes longer than ``patience_s``.
+    If ``orderly``, the command ends by itself after a request to ``stop``. Otherwise a signal
+    raises `RunStopped`. If ending takes longer than ``patience_s``, ``give_up`` is called.
     """
 
-    give_up: Callable[[int], None]
+    give_up: Callable[[int], None]  # ends the process, with the number of the signal
     stop: StopRequest = field(default_factory=StopRequest)
     orderly: bool = False
     patience_s: float = ENDS_WITHIN_S
@@ -51,12 +51,12 @@ class _Process:
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
-        # includes boards without other references, which may continue
+        # A board that its program no longer refers to may still deliver, so it stays here.
         self.boards: dict[Board, int] = {}
-        self.runs: list[StopRequest] = []  # of runs, and of a command that will open a board
+        self.runs: list[StopRequest] = []  # of runs, and of a command that opens a board
         self.command: Command | None = None
         self.signals: _Signals | None = None
-        self.in_run = False  # whether the main thread executes a run, which ends by itself
+        self.in_run = False  # whether the main thread is in a run that a signal ends in order
         self.reason = ""  # reason why this process may not open boards any more
         self.entry: RunEntry | None = None
 
@@ -79,23 +79,23 @@ class _Process:
         try:
             if self.entry is None and not self.reason:
                 self.entry = RunEntry(self._stop_requested)
-            # Keep this order: a stop writes its mark before it lists runs.
+            # Register before this check: a stop writes its mark before it lists runs.
             if self.reason or self.entry is None or self.entry.is_asked or stopped_since_start():
                 raise BoardStoppedError(
-                    f"this program was stopped by {self.reason or 'smarttouch stop'}, and drives "
-                    "no board any more: start it again"
+                    f"this program was stopped by {self.reason or 'smarttouch stop'}, and can "
+                    "open no more boards: start it again"
                 )
             total_ua = self.entry.declare(sum(self.boards.values()), most_ua)
         except OSError as error:
             raise SmartTouchError(
-                f"cannot write {error.filename or registry_folder()}, by which smarttouch stop "
-                f"finds this run: {error.strerror}; set XDG_STATE_HOME to a folder that you can "
+                f"cannot write {error.filename or registry_folder()}, where smarttouch stop looks "
+                f"for this run: {error.strerror}; set XDG_STATE_HOME to a folder that you can "
                 "write to"
             ) from None
         if total_ua > most_ua:
             raise BoardError(
-                f"the displays of this user could drive {total_ua / 1000:g} mA together with this "
-                f"one, and {CEILING_USER_MA:g} mA are allowed: close another display or lower "
+                f"all displays of this user together could drive {total_ua / 1000:g} mA, more than "
+                f"the allowed {CEILING_USER_MA:g} mA: close another display or lower "
                 "limits.total_ma in the profile"
             )
 
@@ -104,7 +104,7 @@ class _Process:
             self.signals = self.signals or _Signals(self.command)
 
     def withdraw(self) -> None:
-        """Update the entry, or withdraw it if there are no boards and runs left."""
+        """Update the registry entry, or remove it if no boards and runs are left."""
         entry = self.entry
         if self.boards or self.runs:
             if entry is not None:
@@ -119,18 +119,18 @@ class _Process:
 
     def end(self, reason: str, *, for_good: bool = True) -> bool:
         """Set all boards to zero and ask all runs to end; return whether all boards have confirmed
-        zero. ``for_good`` means that no board can be opened any more."""
-        # Do not take the lock, which may be blocked by the disk. A board entered now sees the
-        # reason, or is in the list.
+        zero. With ``for_good``, no board can be opened afterwards."""
+        # Do not take the lock: a thread that waits for the disk may hold it. A board that enters
+        # now sees the reason, or is in the list.
         if for_good:
             self.reason = self.reason or reason
         boards, entry = [*self.boards], self.entry
         for request in [*self.runs, *([self.command.stop] if self.command else [])]:
-            # End runs before their boards reject sequences.
+            # Ask runs to end before their boards reject sequences.
             request.ask(reason, at_once=False)
 
         def bring_to_zero(board: "Board") -> None:
-            # A board that raises has not confirmed zero.
+            # A board that raises has not confirmed zero, so it stays registered.
             with suppress(Exception):
                 (board.halt if for_good else board.stop)()
                 leave(board)
@@ -138,7 +138,7 @@ class _Process:
         for board in boards:
             threading.Thread(target=bring_to_zero, args=(board,), daemon=True).start()
         deadline_s = time.monotonic() + ZERO_WITHIN_S
-        # The run may still confirm zero when it closes its board.
+        # A run may also confirm zero when it closes its board.
         while self.boards and time.monotonic() < deadline_s:
             time.sleep(0.002)
         # A board that has not confirmed zero stays in the run registry until it is closed.
@@ -147,7 +147,7 @@ class _Process:
     def _stop_requested(self, reason: str) -> bool:
         at_zero = self.end(reason)
         if self.command is not None:
-            # Interrupt the main thread if it is waiting.
+            # The signal interrupts the main thread if it is waiting.
             if hasattr(signal, "pthread_kill"):
                 signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
             else:
@@ -159,8 +159,8 @@ class _Signals:
     """Handler of signals that would end this process or raise KeyboardInterrupt.
 
     It takes no locks. The system writes the number of each signal to a socket, even if the main
-    thread cannot run a handler; if an event loop uses that mechanism, the handler writes instead. A
-    thread reads the socket.
+    thread cannot run a handler. If an event loop uses this mechanism, the handler writes the
+    number. A thread reads the socket.
     """
 
     def __init__(self, command: Command | None) -> None:
@@ -171,20 +171,20 @@ class _Signals:
         self._set_wakeup(self._wakes.fileno())
         self._before: dict[int, Any] = {}
         for number in SIGNALS:
-            # Do not replace a program's own handlers, nor ignored signals.
+            # Keep the program's own handlers, and signals that it ignores.
             if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                 self._before[number] = signal.signal(number, self._handle)
         threading.Thread(target=self._work, name="signals", daemon=True).start()
 
     def close(self, *, forked: bool = False) -> bool:
-        """Stop handling signals; return False if that is impossible or a command is ending."""
+        """Stop handling signals; return False in another thread, or if a command is ending."""
         ending = self._command is not None and self.number and not forked
         if ending or threading.current_thread() is not threading.main_thread():
             return False
         for number in filter(self._is_ours, self._before):
             signal.signal(number, self._before[number])
         self._set_wakeup(-1)
-        self._wakes.close()  # ends the thread
+        self._wakes.close()  # ends the thread that reads signals
         if forked:
             self._hears.close()
         return True
@@ -201,7 +201,7 @@ class _Signals:
 
     def _set_wakeup(self, descriptor: int) -> bool:
         """Let the system write signals to a descriptor, unless an event loop has set its own.
-        Return whether our descriptor was set before."""
+        Return whether the descriptor of this object was set before."""
         before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
         if before not in (-1, self._wakes.fileno()):
             signal.set_wakeup_fd(before)
@@ -211,7 +211,7 @@ class _Signals:
         first, self.number = not self.number, self.number or number
         if not self._set_wakeup(self._wakes.fileno()):
             self._wakes.send(bytes([number]))
-        # A second Ctrl-C interrupts a hanging run of a program.
+        # Without a command, a second Ctrl-C interrupts a run that hangs.
         orderly = self._command.orderly if self._command else _process.in_run and first
         if not orderly:
             self.end_main_thread()
@@ -244,8 +244,8 @@ def enter(board: "Board") -> None:
         return
     with _process.lock:
         if board in _process.boards:
-            # A failing thread would withdraw the board that the other has opened.
-            raise BoardError("another thread opens or closes the board: try again")
+            # If this thread failed, it would unregister the board of the other thread.
+            raise BoardError("another thread is opening or closing the board: try again")
         _process.boards[board] = board.budget_ua
         try:
             _process.announce()
@@ -271,14 +271,14 @@ def expect(board: "Board") -> None:
 
 
 def current_command() -> Command:
-    """Return the running command of this process, or a command without effect."""
+    """Return the running command of this process, or else a new command without effect."""
     return _process.command or Command(os._exit)
 
 
 @contextmanager
 def running_command(give_up: Callable[[int], None]) -> Iterator[Command]:
-    """Let signals and stops end a command during the block; ``give_up`` ends the process if
-    something blocks."""
+    """Let signals and stops end a command during the block. ``give_up`` ends the process if the
+    command blocks."""
     _process.command = command = Command(give_up)
     _process.handle_signals()
     try:
@@ -297,9 +297,9 @@ def running_command(give_up: Callable[[int], None]) -> Iterator[Command]:
 
 @contextmanager
 def stoppable_run(stop: StopRequest, board: "Board") -> Iterator[Callable[[], None]]:
-    """Register a run during the block. After a signal, RunStopped or KeyboardInterrupt ends the
-    block in the main thread; after calling the yielded function, it is raised at the end of the
-    block instead."""
+    """Register a run during the block. In the main thread, a signal raises RunStopped or
+    KeyboardInterrupt within the block. After a call of the yielded function, a signal raises the
+    error at the end of the block instead."""
     if not board.announced:
         yield lambda: None
         return

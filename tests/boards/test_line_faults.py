@@ -138,7 +138,7 @@ def test_a_port_that_stays_away_is_reported(hosted, monkeypatch):
     with raises(BoardError, names="board", value=str(hosted.line.path)) as error, hosted.board:
         pulled_out_after(4, hosted)
     goes_on = hosted.kind == "etactilekit"
-    assert ("switch it off" in str(error.value)) == goes_on
+    assert ("switch the board off" in str(error.value)) == goes_on
     if not goes_on:
         hosted.assert_zero()
 

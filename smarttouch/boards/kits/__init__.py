@@ -1,8 +1,8 @@
 """Common parts of published kits: their current scale, and sequences for a single source.
 
-A measured scale may differ from the nominal one by 30 %. This covers the differences between boards
-of one kind, but detects mistakes: other boards of the family differ by a factor of 1.77 or more,
-peak-to-peak values by 2, and units by 1,000.
+A measured scale may differ from the nominal one by 30 %. This tolerance covers the differences
+between boards of one kind, but detects mistakes: a different board of the family is off by a factor
+of 1.77 or more, a peak-to-peak value by 2, and a wrong unit by 1,000.
 """
 
 import numpy as np
@@ -14,12 +14,12 @@ from smarttouch.profile.kit_scales import NOMINAL_UA, require_in_band
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-BOOT_S = 1.0  # time to boot, as kits reset when the port is opened
+BOOT_S = 1.0  # time to boot: kits reset when their port is opened
 
 
 def require_kit(kind: str, port: str, output: Output | None, profile: str) -> float:
-    """Return the current scale of a kit. Raises BoardError without a port or with an unsuitable
-    profile."""
+    """Return the current scale of a kit, µA per count. Raises BoardError without a port or with an
+    unsuitable profile."""
     if not port:
         raise BoardError(f"{kind}: needs a port, for example {kind}:/dev/ttyUSB0")
     if output is not None and output.kind != "one-against-all":
@@ -38,18 +38,18 @@ def steps_of(
     kind: str, scale_ua: float, limits: SafetyLimits, width_us: float, level_ua: NDArray[np.int64],
     electrode: NDArray[np.intp], counts: int = 1,
 ) -> NDArray[np.int64]:  # fmt: skip
-    """Convert levels of electrodes, (S,) µA, to integer steps of ``counts`` counts. Neither
-    rounding nor a wrong scale can exceed the limits of current and charge."""
+    """Convert levels of electrodes, (S,) µA, to integer steps of ``counts`` counts, at most so
+    large that neither rounding nor a wrong scale exceeds the limits of current and charge."""
     most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
-    # The tolerance keeps limits that are a multiple of a step.
+    # Without the tolerance, a limit that is a multiple of a step could lose this step.
     most = np.floor(most_ua / (counts * max(scale_ua, NOMINAL_UA[kind])) + 1e-9)[electrode]
     return np.minimum(np.rint(level_ua / (counts * scale_ua)), most).astype(np.int64)
 
 
 def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
     """Return the electrode that each slot drives against all others, (S,), and its current, (S,)
-    µA, positive cathodic. Raises BoardError for other slots, or for two slots with one
-    electrode."""
+    µA, positive cathodic. Raises BoardError for other kinds of slots, and if two slots drive
+    the same electrode."""
     current = sequence.current_ua.astype(np.int64)
     electrode = sequence.site.astype(np.intp)
     rows = np.arange(sequence.slots)
@@ -59,13 +59,13 @@ def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[n
     wrong = (others > 0).any(axis=1) | (np.abs(current).max(axis=1, initial=0) > np.abs(alone_ua))
     if wrong.any():
         raise BoardError(
-            f"slot {int(wrong.argmax())} does not drive one electrode against all others, and "
-            "this board can make no other: use its own profile",
+            f"slot {int(wrong.argmax())} does not drive one electrode against all others, as "
+            "this board requires: use the profile of the board",
             slot=int(wrong.argmax()),
         )
     if len(np.unique(electrode)) != len(electrode):
         raise BoardError(
-            f"{len(electrode)} slots share {len(np.unique(electrode))} electrodes: this board "
-            "drives each once in a scan"
+            f"{len(electrode)} slots share {len(np.unique(electrode))} electrodes, but this "
+            "board drives each once per scan: send one slot for each electrode"
         )
     return electrode, alone_ua

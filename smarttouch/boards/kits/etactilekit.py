@@ -1,12 +1,12 @@
-"""Driver of the eTactileKit, which scans by its own clock; the host loads its patterns.
+"""Driver of the eTactileKit, which scans by its own clock; the host loads patterns.
 
-Its wire format and safe dialogues are in `etactilekit_line`.
+The wire format and safe dialogues are in `etactilekit_line`.
 
-A scan is fixed at its start, so a pattern is scanned only if it is loaded by then. The driver loads
-a pattern, enables pulses for the requested number of scans, and stops pulses again. The board does
-not report scans, but its readings change with each. So two queries bracket a scan, and then the
-times of all others are known (`ScanLock`). Before that, or on a slow line, a pattern stays for more
-than one period. It is then scanned once or twice, and the report contains this range.
+The board reads its pattern at the start of a scan, so a pattern must be loaded before. The driver
+loads a pattern, enables pulses for the requested number of scans, and stops pulses again. The board
+does not report scans, but each scan changes its readings. Two queries with different readings
+bracket a scan, and from its time follow those of all others (`ScanLock`). Before the first bracket,
+or on a slow line, a pattern stays for more than one period. The report then has a range of scans.
 """
 
 import math
@@ -36,32 +36,32 @@ FIRMWARES = ("71adee2", "newest")  # known firmware versions, by commit
 NEWEST_ZERO_MS = 520.0  # the newest firmware stops 500 ms after the host's last byte
 IDLE_S = 0.1  # time without a sequence after which zeros are loaded
 VOLTS_PER_COUNT = 0.0893
-DUMMY_KOHM = 66.0  # load in parallel with the skin, which carries V / 66 kΩ
+DUMMY_KOHM = 66.0  # load in parallel with the skin; the load carries V / 66 kΩ
 COMPLIANCE_V = 300.0  # limit of the switches (HV513), the largest reading
 LONGEST_LOAD = 0.97  # largest share of a period that a scan may take
-OPEN_SHARE = 0.95  # share of the voltage without a finger that all slots reach if it is lifted
+OPEN_SHARE = 0.95  # share of the voltage without skin; lifted if all slots reach this share
 
-LOW, HIGH = 4, 12  # readings below 4 (0.3 V) mean no pulse, from 12 (1 V) a pulse
+LOW, HIGH = 4, 12  # a reading below 4 (0.3 V) means no pulse, from 12 (1 V) on a pulse
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
-WIDE_NS = 1_000_000  # uncertainty of a start above which a query is sent during a scan
-KEEP_NS = 100_000_000  # longest pause between bytes to the newest firmware
-TOLERANCE = 200e-6  # of the ratio of two clocks, each within 100 ppm
-WIDEST = 0.25  # share of a period: with a larger uncertainty the start of a scan is unknown
+WIDE_NS = 1_000_000  # largest uncertainty of a scan start; above it, a query is sent to locate it
+KEEP_NS = 100_000_000  # longest pause between queries: the newest firmware stops after 500 ms
+TOLERANCE = 200e-6  # largest relative difference of two clocks, each within 100 ppm
+WIDEST = 0.25  # largest uncertainty of a known scan start, as a share of the period
 
 
 class ScanLock:
     """Bounds of the start of each scan, learned from brackets.
 
-    A bracket means that a scan started between two times. It is certain even if the host was
-    delayed. The bounds of later scans follow from the period, within the tolerance of the two
-    clocks.
+    A bracket is a pair of times between which a scan has certainly started, even if the host was
+    delayed. The bounds of later scans follow from the period, within the tolerance of the clocks of
+    host and board.
 
     Attributes
     ----------
     period_ns : int
         Period of the scans.
     last : Span or None
-        Start of the scan of the last bracket, which has number 0; None if unknown.
+        Bounds of the last scan start in a bracket, scan number 0; None if unknown.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -69,7 +69,7 @@ class ScanLock:
         self.last: Span | None = None
 
     def scan(self, number: int) -> Span:
-        """Return the start of a scan; ``last`` must be known."""
+        """Return the bounds of the start of scan ``number``; ``last`` must be known."""
         assert self.last is not None
         away_ns = number * self.period_ns
         unsure_ns = math.ceil(abs(away_ns) * TOLERANCE)
@@ -97,7 +97,7 @@ class ScanLock:
         )
 
     def learn(self, bracket: Span) -> None:
-        """Update by a bracket in which a scan started; ignore it if it is too wide."""
+        """Narrow the bounds by a bracket in which a scan started; ignore a wide bracket."""
         if self.last is None:
             if bracket.late - bracket.early <= WIDEST * self.period_ns:
                 self.last = bracket
@@ -111,7 +111,7 @@ class ScanLock:
             self.last = possible[0] if possible else None
 
     def check(self, time_ns: int) -> None:
-        """Reset if the starts of scans have become too uncertain."""
+        """Forget the starts of scans if they have become too uncertain."""
         if self.last is not None:
             scan = self.scan(self._near(time_ns))
             if scan.late - scan.early > WIDEST * self.period_ns:
@@ -124,7 +124,7 @@ class ScanLock:
 
 @dataclass
 class ShownPattern:
-    """Current pattern, and the time when its pulses were enabled."""
+    """Pattern on the board, and the time when its pulses were enabled."""
 
     proved: ProvedSequence
     since: Span
@@ -132,15 +132,15 @@ class ShownPattern:
     is_seen: bool = False  # whether readings have shown its pulses
 
     def pulsed(self, readings: Readings) -> NDArray[np.bool_]:
-        """Return which outputs have certainly pulsed, by new readings, (N,) bool."""
+        """Return which outputs have certainly pulsed, from new readings, (N,) bool."""
         return (self.before < LOW) & (readings >= HIGH)
 
 
 class ETactileKitDriver(Driver):
     """Driver of the eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
-    ``?firmware=71adee2`` or ``newest`` states the firmware, which cannot be queried. Without it,
-    the driver assumes only what both versions do.
+    ``?firmware=71adee2`` or ``newest`` states the firmware, which cannot be queried. Without
+    this option, the driver relies only on behavior common to both versions.
     """
 
     default_profile: ClassVar[str] = "etactilekit-32"
@@ -168,7 +168,7 @@ class ETactileKitDriver(Driver):
         self._outputs = int(self._wiring.max()) + 1
         if self._outputs > 253:
             raise BoardError(
-                f"output {self._outputs - 1} is out of reach: an eTactileKit counts to 253 outputs"
+                f"output {self._outputs - 1} is too high: an eTactileKit has outputs 0 to 252"
             )
         self._limits = limits
         self._nothing = bytes(2 * self._outputs)
@@ -176,7 +176,7 @@ class ETactileKitDriver(Driver):
         self._begin()
 
     def _begin(self) -> None:
-        """Reset all knowledge of the board's scans."""
+        """Forget what is known about the board's scans and settings."""
         self._on_board = b""  # pattern on the board; empty if uncertain
         self._settings: Settings | None = None  # settings on the board; None if uncertain
         self._scan_ns = 0  # duration of its scans
@@ -186,7 +186,7 @@ class ETactileKitDriver(Driver):
         self._before: tuple[int, Readings] | None = None
         self._answer_ns = 0  # duration of recent answers
         self._stopped_ns = self._free_ns = 0
-        self._seen_ua = 10**6  # weakest measured pattern
+        self._seen_ua = 10**6  # current of the weakest pattern seen in readings
 
     # -- opening and closing -----------------------------------------------
 
@@ -200,13 +200,13 @@ class ETactileKitDriver(Driver):
             capacity = self._kit.connect(str(self.port))
             shown, self._before = self._shown, None
             if shown is not None:
-                # scans that may have run before the lost board returned to zero
+                # Report scans that may have run before the lost board returned to zero.
                 self._report_scans(shown, Span(shown.since.late, line.now_ns()))
             self._begin()
             self._put_at_zero()
             self._away = False
         except BoardStoppedError:
-            # The board is not at zero, even if it was stopped.
+            # The stop has not reached a disconnected board: it is not at zero.
             if self._away:
                 raise line.lost("is not back") from None
             raise
@@ -246,8 +246,8 @@ class ETactileKitDriver(Driver):
     # -- sequences ---------------------------------------------------------
 
     def encode(self, sequence: ScanSequence) -> tuple[Settings, bytes]:
-        """Return the settings and the pattern for a sequence, the height of each output in counts.
-        Raises BoardError if the board cannot make it."""
+        """Return settings and pattern of a sequence. The pattern is the pulse height of each output
+        in counts. Raises BoardError if the board cannot deliver the sequence."""
         electrode, current_ua = one_against_all(sequence)
         for what, values in (
             ("polarities", np.sign(current_ua)), ("pulse widths", sequence.width_us)
@@ -255,20 +255,21 @@ class ETactileKitDriver(Driver):
             if len(set(values.tolist())) > 1:
                 raise BoardError(
                     f"slots have different {what} ({min(values)} and {max(values)}), but "
-                    "this board has one for all: send them as two sequences"
+                    "this board has one value for all: send them as two sequences"
                 )
         width_us = int(sequence.width_us.max(initial=0))
         rest_us = int(sequence.discharge_us.max(initial=0))
         if rest_us >= wire.FIRST_COMMAND or (sequence.slots and width_us < wire.SHORTEST_US):
             raise BoardError(
-                f"this board makes no pulses of {width_us} µs with {rest_us} µs of discharge: at "
-                f"least {wire.SHORTEST_US} and at most {wire.FIRST_COMMAND - 1} µs"
+                f"this board cannot make pulses of {width_us} µs with {rest_us} µs of discharge: "
+                f"set {wire.SHORTEST_US} µs at least, and {wire.FIRST_COMMAND - 1} µs of discharge "
+                "at most"
             )
         rate_hz = max(1, round(1e6 / sequence.period_us))
         settings = Settings(width_us, rest_us, rate_hz, bool((current_ua < 0).any()))
         busy_us = settings.scan_us(self._outputs)
         if sequence.slots and 1000 * busy_us > LONGEST_LOAD * settings.period_ns:
-            # Otherwise its parser would never run again.
+            # With a longer scan the parser of the board would never run again.
             raise BoardError(
                 f"a scan of {self._outputs} outputs takes {busy_us} µs, which does not fit "
                 f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate"
@@ -278,7 +279,7 @@ class ETactileKitDriver(Driver):
             "etactilekit", self.ua_per_count, self._limits, width_us, level_ua, electrode
         )
         counts = np.minimum(steps, wire.LARGEST)
-        # Avoid bytes that look like commands: they would be executed if the byte before were lost.
+        # Avoid bytes that look like commands: if the byte before were lost, they would be executed.
         low = counts & 0xFF
         counts -= np.where(low >= wire.FIRST_COMMAND, low - (wire.FIRST_COMMAND - 1), 0)
         heights = np.zeros(self._outputs, "<u2")
@@ -287,7 +288,7 @@ class ETactileKitDriver(Driver):
 
     def write(self, proved: ProvedSequence) -> None:
         line = self._kit.line
-        # Waiting for its turn does not make a sequence late.
+        # A sequence that waited for an earlier one is not late.
         proved = line.later(proved, max(proved.due_ns, self._free_ns))
         try:
             if line.now_ns() > proved.write_before_ns:
@@ -299,7 +300,7 @@ class ETactileKitDriver(Driver):
         self._free_ns = line.now_ns()
 
     def idle(self) -> float | None:
-        """Load a pattern of zeros after a time without sequences."""
+        """Load a pattern of zeros after `IDLE_S` without sequences."""
         left_s = IDLE_S - (self._kit.line.now_ns() - self._free_ns) / 1e9
         if left_s > 0:
             return left_s
@@ -328,13 +329,13 @@ class ETactileKitDriver(Driver):
                 self._stop_pulses()
 
     def _show(self, proved: ProvedSequence, settings: Settings, pattern: bytes) -> bool:
-        """Enable the pulses of a sequence; return whether the board confirmed it."""
+        """Load a sequence and enable its pulses; return whether the board confirmed all steps."""
         line = self._kit.line
         if settings != self._settings and not self._set(settings):
             return False
         if pattern != self._on_board and not self._load(pattern):
             return False
-        # The start depends on settings and on the board's scans.
+        # Compute the start only now: it depends on the new settings and on the board's scans.
         begin_ns = self._between_scans(line.now_ns())
         line.wait_until(begin_ns)
         if (span := self._ask(wire.GO, drives=line.later(proved, begin_ns))) is None:
@@ -345,7 +346,7 @@ class ETactileKitDriver(Driver):
         return True
 
     def _set(self, settings: Settings) -> bool:
-        """Set pulse and rate while pulses are stopped; return whether the board confirmed it."""
+        """Set pulse and rate while pulses are stopped; return whether the board confirmed both."""
         longest = max(
             chosen.scan_us(self._outputs, 20) for chosen in (settings, self._settings) if chosen
         )
@@ -363,7 +364,7 @@ class ETactileKitDriver(Driver):
         return True
 
     def _load(self, pattern: bytes) -> bool:
-        """Load a pattern while pulses are stopped; return whether the board confirmed it."""
+        """Load a pattern while pulses are stopped; return whether the board confirmed this."""
         self._on_board = b""
         if self._kit.exchange(wire.LOAD + pattern) is not None:
             self._on_board = pattern
@@ -379,7 +380,7 @@ class ETactileKitDriver(Driver):
             return None
         span, now = answer
         self._before = span.early, now
-        # An answer during a scan is delayed to its end.
+        # A query during a scan is answered late, after the scan: keep the shortest time.
         took_ns = span.late - span.early
         self._answer_ns = min(took_ns, self._answer_ns * 9 // 8 or took_ns)
         if before is None or settings is None:
@@ -387,15 +388,15 @@ class ETactileKitDriver(Driver):
         asked_ns, then = before
         rises, falls = (then < LOW) & (now >= HIGH), (then >= HIGH) & (now < LOW)
         if (rises | falls).any():
-            # slot with a short discharge, or without a pulse
+            # shortest possible slot: with a short discharge, or even without a pulse
             rest_us = max(0, settings.discharge_us - wire.SHORTEST_US)
             if self._firmware == "71adee2":
                 # A query during a scan is answered after it, so the complete scan has passed.
                 slots, early_ns = self._outputs, asked_ns
                 rest_us += settings.width_us if rises.any() else wire.SHORTEST_US
             else:
-                # The slot that changed passed between the two queries; its scan began this many
-                # slots earlier.
+                # The slot whose reading changed passed between the two queries. Its scan began
+                # ``slots`` slots earlier.
                 slots = int((rises | falls).argmax())
                 early_ns = asked_ns - 1000 * slots * settings.scan_us(1, 25)
             self._lock.learn(Span(early_ns, span.late - 1000 * slots * rest_us))
@@ -406,7 +407,7 @@ class ETactileKitDriver(Driver):
         lock = self._lock
         lock.check(now_ns)
         if lock.last is None:
-            # With the newest firmware a scan that began before the stop may still run.
+            # With the newest firmware, a scan that began before pulses were stopped may still run.
             return max(now_ns, self._stopped_ns + self._scan_ns)
         answer_ns = min(3 * self._answer_ns, (lock.period_ns - self._scan_ns) // 3)
         number = lock.first_after(now_ns)
@@ -416,11 +417,11 @@ class ETactileKitDriver(Driver):
         return now_ns if now_ns + answer_ns < following.early else following.late + MARGIN_NS
 
     def _hold(self, proved: ProvedSequence) -> None:
-        """Wait until the requested number of scans is over. Meanwhile send queries to locate scans
-        and to keep the board awake."""
+        """Wait until the requested number of scans is over. Meanwhile send queries, which locate
+        scans and prevent the board's host timeout."""
         line, shown, lock = self._kit.line, self._shown, self._lock
         asked_ns = now_ns = line.now_ns()
-        # Zero from another thread may end the pattern.
+        # Another thread may set the board to zero, which ends the pattern.
         while shown is not None and shown is self._shown:
             times = 1 if line.has_newer() else proved.times
             if lock.last is None:
@@ -436,7 +437,7 @@ class ETactileKitDriver(Driver):
             if now_ns >= over_ns:
                 line.wait_until(self._between_scans(now_ns))
                 return
-            # A newer sequence may arrive meanwhile.
+            # Check once per period whether a newer sequence is waiting.
             until_ns = min(over_ns, ask_ns, now_ns + lock.period_ns)
             line.wait_until(until_ns)
             now_ns = line.now_ns()
@@ -447,7 +448,7 @@ class ETactileKitDriver(Driver):
                         self._look(shown, self._before[1])
 
     def _look(self, shown: ShownPattern, readings: Readings) -> None:
-        """Record the first scan of the pattern once readings show it."""
+        """Record the start of the pattern's first scan once readings show its pulses."""
         scan = self._lock.last
         if not shown.is_seen and shown.pulsed(readings).any():
             shown.is_seen = True
@@ -455,7 +456,7 @@ class ETactileKitDriver(Driver):
                 shown.since = Span(scan.early - 1, scan.early - 1)
 
     def _stop_pulses(self) -> None:
-        """Stop all pulses, and report the scans of the pattern."""
+        """Stop all pulses, and report the scans of the pattern that was shown."""
         shown, self._shown = self._shown, None
         begun_ns, stopped = self._kit.line.now_ns(), None
         try:
@@ -479,7 +480,7 @@ class ETactileKitDriver(Driver):
             if pulsed.any():
                 least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
             elif level_ua >= self._seen_ua and (readings < LOW).all():
-                # Weaker pulses were measured before, so the board's timing has changed.
+                # Weaker pulses were seen before, so there was no scan: the timing has changed.
                 self._lock.last, least = None, 0
             if least:
                 volts, lifted = (readings * VOLTS_PER_COUNT).astype(np.float32), None

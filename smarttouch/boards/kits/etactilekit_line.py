@@ -10,14 +10,14 @@ On the wire (native USB, or TCP port 8080; little endian, no framing, no checksu
     F5      reply: chips        F4      reply: N, the only echo
 
 This is the protocol of commit 71adee2 and later. Older firmware has no F4 and one height for all
-electrodes (FB); its FE N×u8 selects electrodes. Such boards are set to zero and rejected.
+electrodes (FB); its FE N×u8 selects electrodes. Boards with it are set to zero and rejected.
 
-If a byte inside FE is lost, the next byte completes a pattern shifted by eight bits, with up to 41
-mA. So each change is guarded. Pulses are stopped before it (by a mode without pulses, or a height
-of zero), a query follows it, and pulses restart only after the answer. A lost byte swallows the
-query; then there is no answer, no pulse, and the driver resets the board's parser. Numbers avoid
-bytes that look like commands. Zeros follow words, so that a lost byte makes a number smaller, never
-larger. *Doubled* bytes are not detected, but USB and TCP do not produce them.
+If a byte of FE is lost, the next byte completes a pattern shifted by eight bits, with up to 41 mA.
+The driver therefore stops pulses before each change (by a mode without pulses, or zero height),
+sends a query after the change, and restarts pulses only after the answer. If a byte is lost, the
+board reads the query as data. Then there is no answer and no pulse, and the driver resets the
+parser. Numbers avoid bytes that look like commands. Zeros follow each 16-bit number: a lost byte
+makes it smaller, never larger. *Doubled* bytes are not detected, but USB and TCP make none.
 """
 
 import contextlib
@@ -44,10 +44,10 @@ from smarttouch.boards.kits import watchdog
 from smarttouch.stimulation.safety_gate import ProvedSequence
 
 LARGEST = 1000
-"""Largest count that is sent, about 10 mA, whatever the limits. The firmware accepts 4095 counts,
-which are 41 mA."""
+"""Largest count that the driver sends, about 10 mA, even if the limits allow more. The firmware
+accepts 4095 counts, 41 mA."""
 FIRST_COMMAND = 0xF4
-SHORTEST_US = 7  # shortest pulse, as switching takes 6.6 µs
+SHORTEST_US = 7  # shortest pulse: switching takes 6.6 µs
 
 Readings = NDArray[np.uint16]
 
@@ -70,9 +70,9 @@ class Settings:
         return outputs * (self.width_us + self.discharge_us + slot_extra_us)
 
     def commands(self, between_hz: int) -> bytes:
-        """Return the commands for the settings, twice, with zeros after each: if the first byte of
-        a word is lost, the number becomes zero instead of a longer pulse. Scans with old or new
-        settings fit into the period of ``between_hz``."""
+        """Return the commands for the settings, twice, each followed by zeros: if the first byte of
+        a 16-bit number is lost, the number becomes zero instead of a longer pulse. The period of
+        ``between_hz`` must fit scans with the old and with the new settings."""
         once = (
             QUIET + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
             + b"\xf6" + between_hz.to_bytes(2, "little") + _END
@@ -83,7 +83,7 @@ class Settings:
         return once * 2 + (b"\xf6" + self.rate_hz.to_bytes(2, "little") + _END) * 2
 
 
-ZEROS = bytes(2 * 255 + 4)  # padding longer than the rest of any command
+ZEROS = bytes(2 * 255 + 4)  # completes any incomplete command
 PING, CHIPS, READINGS = b"\xf4", b"\xf5", b"\xff"
 NO_SENSE = b"\xf9\0\0\xf8\0\0"
 _END = bytes(3)  # completes any command that has lost a byte
@@ -92,8 +92,8 @@ AT_REST = (
     b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
 )  # fmt: skip
 """Commands that set any published firmware to zero: no electrodes, no sense pulses, zero height (or
-mode 0 in newer firmware), shortest pulses, 10 scans per second. No other known board takes these
-bytes for a query or a pattern."""
+mode 0 in newer firmware), shortest pulses, 10 scans per second. To all other known boards, these
+bytes are neither a query nor a pattern."""
 QUIET = b"\xfb\x02\xfb\x02"  # stops pulses at the next scan
 LOAD = b"\xfb\x02\xfe"  # begins a pattern, with pulses stopped
 GO = b"\xfb\0"  # starts pulses at the next scan
@@ -103,8 +103,8 @@ def zero_anywhere(outputs: int) -> bytes:
     """Return the bytes that set a board to zero in any state of its parser.
 
     They stop sense pulses and all other pulses, and load zeros. They begin with zeros, which
-    complete an incomplete command with a smaller number; more zeros than necessary are sent, as
-    some may be lost.
+    complete an incomplete command with a smaller number. There are more zeros than necessary,
+    because some may be lost.
     """
     return bytes(2 * outputs + 4) + NO_SENSE + b"\xfb\x02\x02\x02\xfe" + bytes(2 * outputs)
 
@@ -117,12 +117,12 @@ class Span:
     late: int
 
 
-ECHO_S = 0.1
-CHIPS_S = 0.5  # longest wait for an answer
+ECHO_S = 0.1  # longest wait for the answer to PING
+CHIPS_S = 0.5  # longest wait for the answer to CHIPS
 MORE_S = 0.03  # wait for additional bytes: USB chips hold bytes for 16 ms
 FORGETS_S = 2.15  # pause after which the board drops a partial command
 MOST_LOSSES = 4  # consecutive lost commands after which the board cannot be driven safely
-LOOKS = 5  # consecutive answers without an echo that show old firmware
+LOOKS = 5  # answers without an echo after which the firmware counts as old
 
 
 class ETactileKitLine:
@@ -144,8 +144,8 @@ class ETactileKitLine:
         self._losses, self._chips = 0, b""
 
     def connect(self, name: str) -> int:
-        """Open the port, set any firmware to zero, and return its number of outputs. After a lost
-        connection, another device receives only a query."""
+        """Open the port, set a board with any firmware to zero, and return its number of outputs.
+        After a lost connection, a wrong device receives only a query."""
         line = self.line
         if not HAS_POSIX:
             raise BoardError(
@@ -159,7 +159,7 @@ class ETactileKitLine:
             self.watched.arm()
             line.write(self.zero)
         if line.identity is not None or not line.reopened:
-            # Opening the port may reset the board.
+            # Opening the port may reset the board, so wait until it has booted.
             line.pause(kits.BOOT_S)
         capacity = self._identify()
         self.watched.arm()
@@ -174,8 +174,8 @@ class ETactileKitLine:
     def _answers(
         self, query: bytes, *attempts: tuple[bytes, float], then: tuple[bytes, ...] = ()
     ) -> Iterator[bytes]:
-        """Yield the first byte of each answer to a query. Each attempt begins with bytes and a
-        pause that resynchronize the parser."""
+        """Yield the first byte of each answer to a query. An attempt sends bytes and pauses, which
+        resynchronizes the parser, then sends the commands ``then`` and the query."""
         for data, pause_s in attempts:
             self.line.write(data)
             self.line.pause(pause_s)
@@ -188,7 +188,7 @@ class ETactileKitLine:
         its number of outputs."""
         line = self.line
         # An earlier host may have left an incomplete pattern. Only zeros complete it without
-        # current. If they do not end it, a pause does.
+        # current. If zeros do not complete it, the board drops it during a pause.
         answers = self._answers(CHIPS, (ZEROS, 0.01), (ZEROS, FORGETS_S), then=AT_REST)
         if not (answer := next(filter(None, answers), b"")):
             raise SilentBoardError(
@@ -202,24 +202,24 @@ class ETactileKitLine:
                 f"the eTactileKit at {line.name} has {capacity} outputs, the profile needs "
                 f"{self.outputs}: use the profile of this board"
             )
-        # The number of electrodes is now zero. The answer to the second byte shows whether the
-        # first was a query, too.
+        # The number of electrodes is now zero, which PING echoes. Firmware that does not know PING
+        # answers only CHIPS.
         if b"\0" + answer not in (line.ask(PING + CHIPS, 2, CHIPS_S) for _ in range(LOOKS)):
             for command in AT_REST:
                 line.write(command)
             raise BoardError(
-                f"the eTactileKit at {line.name} does not echo: its firmware is older than commit "
-                "71adee2, or damaged: flash the newest one of the kit's repository, "
+                f"the eTactileKit at {line.name} does not echo: its firmware is damaged, or older "
+                "than commit 71adee2. Flash the newest firmware of the kit's repository, "
                 "aid-lab-org/eTactileKit"
             )
-        # Turn off sense pulses: the guard against changes relies on their absence.
+        # Turn off sense pulses, because QUIET stops only the other pulses.
         electrodes = bytes([0xFC, self.outputs])
         if line.ask(QUIET + NO_SENSE + electrodes + PING, 1, ECHO_S) != self._echo:
             raise line.lost("does not echo its number of electrodes")
         return capacity
 
     def _recognize(self) -> None:
-        """Query a returned device to check that it is the same board, if USB does not tell."""
+        """Check by a query that the device is the lost board, if USB does not identify it."""
         # Do not send zeros before the query: another device might act on them.
         answers = self._answers(CHIPS, (b"", 0.0), (b"", FORGETS_S))
         if received := next(filter(None, answers), b""):
@@ -237,8 +237,8 @@ class ETactileKitLine:
         self, body: bytes, *, ask: bool = False, drives: ProvedSequence | None = None
     ) -> tuple[Span, Readings] | None:
         """Send commands and wait for their execution. Return its time span and, with ``ask``, the
-        readings before, (N,), in the board's order. After a wrong answer, resynchronize the parser
-        and return None. ``drives`` is the sequence whose pulses the commands start, if any."""
+        readings before it, (N,), in the board's order. After a wrong answer, resynchronize the
+        parser and return None. ``drives`` is the sequence whose pulses the commands start."""
         expected, begun_ns = 2 * self.outputs * ask + 1, self.line.now_ns()
         answer = self.line.ask(READINGS * ask + body + PING, expected, ECHO_S, drives)
         span = Span(begun_ns, self.line.now_ns())
@@ -257,8 +257,8 @@ class ETactileKitLine:
                 f"{self.line.name}, so it cannot be driven safely: use another cable and port, or "
                 "flash the newest firmware of the kit's repository, aid-lab-org/eTactileKit"
             )
-        # Zeros complete an incomplete pattern, and are not commands; else a pause does. Try without
-        # a pause first, as the answer may only be late.
+        # Zeros complete an incomplete pattern, and are not commands. If they fail, the board drops
+        # the pattern during a pause. Try zeros first, because the answer may only be late.
         query = QUIET + bytes(4) + PING
         if self._echo not in self._answers(query, (ZEROS, 0.01), (b"", FORGETS_S)):
             raise self.line.lost("does not answer any more")
@@ -305,7 +305,7 @@ class WatchedPort:
             port.close()
             raise BoardError(
                 f"the watchdog of the board cannot be started ({reason(error)}), and without it "
-                "the board would go on when this program ends"
+                "the board would repeat its last pattern when this program ends"
             ) from None
 
     @property
@@ -319,9 +319,9 @@ class WatchedPort:
         return 2 * self._zero if self.at_zero and self._beaten_ns is not None else b""
 
     def arm(self) -> None:
-        """Arm the watchdog."""
+        """Arm the watchdog by the first heartbeat."""
         if self._beaten_ns is None:
-            # If the watchdog has ended already, the next write reports it.
+            # If the watchdog has ended, the next write reports this.
             with contextlib.suppress(OSError):
                 self._send_beat()
             self._beating.start()
@@ -335,7 +335,7 @@ class WatchedPort:
         """
         self._require_beat(b"")
         self._port.write(data)
-        # Twice, because the first may only complete a cut command.
+        # Write zero twice, because the first may only complete a cut command.
         self._require_beat(2 * self._zero)
         return len(data)
 
@@ -352,7 +352,7 @@ class WatchedPort:
             )
 
     def read(self, count: int = 1) -> bytes:
-        """Return the bytes received within ``timeout``, at most ``count``."""
+        """Return at most ``count`` bytes, those received within ``timeout``."""
         self._port.timeout = self.timeout
         return bytes(self._port.read(count))
 
@@ -385,7 +385,7 @@ class WatchedPort:
 
     @prioritized()
     def _beat(self) -> None:
-        # After a pause the watchdog may already be writing zero.
+        # After a pause, send no heartbeat: the watchdog may be writing zero.
         while not self._closing.wait(BEAT_S) and not self._is_stale():
             try:
                 self._send_beat()

@@ -1,4 +1,4 @@
-"""Driver of the 61-electrode ESP32 kit: one packet is one scan, timed by the host.
+"""Driver of the ESP32 kit with 61 electrodes. One packet is one scan; the host times it.
 
 On the wire (UART over USB, 921600 8N1, no checksum, no acknowledgment)::
 
@@ -10,13 +10,12 @@ The board makes an anodic pulse of 50 µs for each nonzero intensity, in order, 
 µs with all outputs grounded. Without packets there are no pulses, so without a host the board is at
 zero.
 
-A lost or doubled byte shifts one scan by an electrode, undetected. The packet after the next is
-correct again, because no intensity looks like a start.
+A lost or doubled byte shifts one scan by one electrode. Neither board nor driver detects this. The
+packet after the next is correct again, because no intensity equals the start byte.
 
 After power-on the board tests its source until the first packet, which contains zeros. Zeros do not
-load the converter, so the last value of the test, at most 1,024 counts or 2.5 mA, flows for about 3
-µs through the first electrode that pulses. No packet can prevent this; it is 8 nC, once after
-power-on.
+load the converter. The last value of the test, at most 1,024 counts or 2.5 mA, therefore flows for
+about 3 µs (8 nC) through the first electrode that pulses, once. No packet can prevent this.
 """
 
 from typing import ClassVar
@@ -38,12 +37,12 @@ ZERO = bytes([STIMULATE]) + bytes(ELECTRODES)
 WIDTH_US, REST_US = 50, 150
 LARGEST = 200
 COUNTS_PER_BYTE = 16
-HURRY = 20  # packets may be closer than a period by at most 1/20 of it
+HURRY = 20  # after a late packet, the next may follow 1/20 of a period early
 LEAD_S = 0.003  # delay of the first packet of a run, a margin for later ones
 
 
 class Kajimoto61Driver(Driver):
-    """Kit of 61 electrodes: ``kajimoto61:PORT``."""
+    """Driver of the kit with 61 electrodes: ``kajimoto61:PORT``."""
 
     default_profile: ClassVar[str] = "kajimoto-61"
     timing: ScanTiming = ScanTiming(
@@ -59,7 +58,7 @@ class Kajimoto61Driver(Driver):
                 f"{limits.electrodes}: use the profile {self.default_profile}"
             )
         self.port, self._limits = port, limits
-        # earliest time of the next packet, and period of the last; None starts a new grid
+        # planned time of the next packet; None if the next packet starts a new grid of times
         self._next_ns: int | None = None
         self._skipped, self._note_ns = 0, 0
         self._period_ns = 0
@@ -69,14 +68,14 @@ class Kajimoto61Driver(Driver):
         if line.reopened and line.identity is None:
             raise BoardError(
                 f"the board at {self.port} was lost; it has no USB serial number and cannot be "
-                "identified, so nothing is sent to what comes back: check the cable, then start "
-                "again"
+                "identified, so nothing is sent to a device that is back: check the cable, then "
+                "start again"
             )
         line.connect(str(self.port))
         line.pause(kits.BOOT_S)
         line.discard_input()
         self.zero()
-        # This board sends nothing unrequested, while an eTactileKit answers FF as a query.
+        # This board does not answer the packet of zeros; an eTactileKit takes FF as a query.
         if answer := line.read(64, 0.05):
             raise BoardError(
                 f"the board at {self.port} answers {len(answer)} bytes to a packet that a "
@@ -88,20 +87,20 @@ class Kajimoto61Driver(Driver):
             max_current_ma=LARGEST * COUNTS_PER_BYTE * self.ua_per_count / 1000,
             max_slots=ELECTRODES,
             time_to_zero_ms=13.0,
-            firmware="kajimoto61 (it does not tell its version)",
+            firmware="kajimoto61 (version unknown)",
             polarities=("anodic",),
             host_timed=True,
         )
 
     def zero(self) -> None:
-        # Zeros complete a cut packet; a complete one ends the self-test.
+        # Zeros complete a cut packet; the complete packet then ends the self-test.
         self._line.write(bytes(ELECTRODES))
         self._line.pause(0.02)
         self._line.write(ZERO)
         self._line.discard_input()
 
     def encode(self, sequence: ScanSequence) -> bytes:
-        """Return the bytes of a sequence. Raises BoardError if the board cannot make it."""
+        """Return the packet of a sequence. Raises BoardError if the board cannot deliver it."""
         electrode, current_ua = one_against_all(sequence)
         width_us, discharge_us = sequence.width_us, sequence.discharge_us
         wrong = (current_ua > 0) | (width_us != WIDTH_US) | (discharge_us > REST_US)
@@ -150,19 +149,19 @@ class Kajimoto61Driver(Driver):
             try:
                 line.write(packet, proved)
             except LineLostError:
-                # The scan may have been delivered.
+                # The board may have received the packet and delivered the scan.
                 line.delivered(proved, 0, most=1)
                 raise
             line.delivered(proved, 1)
             self._skipped += max(0, (sent_ns - next_ns) // period_ns)
             if self._skipped and sent_ns >= self._note_ns:
-                # at most once a minute
+                # at most one note a minute
                 line.board.notes.append(
                     f"this computer was too slow: {self._skipped} sequences were skipped"
                 )
                 self._skipped, self._note_ns = 0, sent_ns + 60_000_000_000
-            # After a late packet move the grid, as catching up would exceed the proved rate. The
-            # small part that is caught up is within the board's margin.
+            # After a late packet delay the later ones, too: catching up would exceed the proved
+            # rate. The 1/20 of a period that may be caught up is within the board's margin.
             next_ns = max(next_ns + period_ns, sent_ns + period_ns - period_ns // HURRY)
             self._period_ns = period_ns
         self._next_ns = next_ns

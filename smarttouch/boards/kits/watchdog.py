@@ -4,13 +4,13 @@ Some boards repeat their last pattern when the program is killed. The watchdog s
 the program ends in any way, its end of the ``control`` socket closes; when it hangs or is stopped,
 its heartbeats stop. In both cases the watchdog writes the board's zero command and ends.
 
-It runs in its own session, so that Ctrl-C, a closed terminal and a kill of the program's process
-group do not reach it. It imports only the standard library, and starts within about 20 ms. The
-program's side is `WatchedPort` in etactilekit_line.
+The watchdog has its own POSIX session, so that Ctrl-C, a closed terminal and a kill of the process
+group of the program do not reach it. It imports only the standard library, and starts within about
+20 ms. The program's side is `WatchedPort` in etactilekit_line.
 
 Arguments are the file descriptors of port and ``control``, and the zero command in hex. Each byte
-from ``control`` is a heartbeat. Before the first one nothing is written, as the device may be a
-wrong one. A suspended computer counts as a silent program.
+from ``control`` is a heartbeat. Before the first heartbeat nothing is written, because the port
+may lead to a wrong device. A suspended computer counts as a silent program.
 """
 
 import contextlib
@@ -23,10 +23,10 @@ import time
 SILENCE_S = 0.09  # host timeout: 0.1 s to zero, including the time to wake up and write
 PRIORITY = 2  # real-time priority, above the program's 1, so that a hanging program cannot block it
 STUCK_S = 0.4  # time without an accepted byte after which the board is stuck
-PIECE, PAUSE_S = 8, 0.003  # zero is repeated in small pieces, which a busy USB chip does not lose
+PIECE, PAUSE_S = 8, 0.003  # zero is sent again in small pieces, which a busy USB chip does not lose
 GONE, SILENT, BLOCKED = 7, 3, 5
-"""Exit codes: zero after the program closed, zero after silence, and a port that accepts no bytes.
-None is 0, because a program that ignores SIGCHLD sees 0 also for killed processes."""
+"""Exit codes: zero written after the program closed, zero written after silence, and port blocked.
+No code is 0: a program that ignores SIGCHLD sees exit code 0 for killed processes, too."""
 
 
 def watch(port: int, control: int, zero: bytes) -> int:
@@ -34,7 +34,7 @@ def watch(port: int, control: int, zero: bytes) -> int:
     is_armed, slept_s = False, _slept_s()
     while True:
         ready = select.select([control], [], [], SILENCE_S if is_armed else None)[0]
-        # Check again: if the watchdog itself was delayed, heartbeats may be waiting.
+        # Check again: if the watchdog itself was delayed, a heartbeat may be waiting.
         ready = ready or select.select([control], [], [], 0)[0]
         if not ready or (is_armed and _slept_s() > slept_s + SILENCE_S):
             return SILENT if write_zero(port, zero) else BLOCKED

@@ -8,8 +8,8 @@ A packet is COBS-encoded and ends with one 0x00. Decoded, all little endian::
     u8  state       of the board: 1 its emergency switch is open; else 0
     u64 session
     u32 heard       largest number that this end has received from the other, else 0
-    u32 about       of SEQUENCE, ACK, NAK and VOLTAGES: the sequence; of an answer
-                    to a question: the question's number; else 0
+    u32 about       in SEQUENCE, ACK, NAK and VOLTAGES, number of the sequence; in an
+                    answer, number of the query; else 0
     ... payload
     u32 CRC-32      (IEEE 802.3) of all before it
 """
@@ -28,15 +28,15 @@ VOLT = 100  # counts per volt in VOLTAGES
 SWITCH_OPEN = 1  # bit of the state: the emergency switch is open
 SILENCE_MS = 100
 ALIVE_MS = 20
-LATE_MS = 250  # a packet is old unless it confirms one that the board sent within this time
+LATE_MS = 250  # a packet is old unless it confirms an ALIVE sent by the board within this time
 LONGEST_PACKET_MS = 1000  # longest time for which an incomplete packet counts as a sign of life
 HALF = 2**32 - 1  # mask of the host's half of a session number; the upper half is the board's
 Output = Literal["weighted", "three-state", "one-against-all"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 
 CAPABILITIES = struct.Struct("<HBBHHHHIIH")
-"""Outputs, kind, features, µA, slots, ms to zero, compliance V; capacity for kernels, largest
-packet, largest number of kernels. The firmware's name follows."""
+"""Number and kind of outputs, features, largest current µA and number of slots, time to zero ms,
+compliance V; bytes for kernels, largest packet, largest number of kernels. A name follows."""
 ALIVE = struct.Struct("<h")
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
 """Shortest period µs, total µA, longest pulse µs, full current µA, rounding µA, reserved, ramp ms,
@@ -57,11 +57,11 @@ REPORT = struct.Struct("<IIQIIIIBIIIII")
 """Numbers of sequences, slots, pulses and violations; largest current µA, charge pC and residual
 charge pC; executing and waiting sequences; old and foreign packets; largest net charge within a
 second pC; seconds with current, and largest charge µC of the session."""
-NOTHING = 0xFFFF  # no slot or electrode; as a slot, the recharge phase
+NOTHING = 0xFFFF  # number for no slot or no electrode; as a slot, the recharge phase
 
 
 def digest_of(data: bytes, session: int | None = None) -> bytes:
-    """Return the identity of kernels; with ``session``, the proof that a board stores them."""
+    """Return the identity of encoded kernels; with ``session``, the proof that a board has them."""
     head = b"" if session is None else session.to_bytes(8, "little")
     return hashlib.sha256(head + data).digest()[:16]
 
@@ -189,5 +189,5 @@ def decode(packet: WirePacket) -> Message:
 
 
 def draw_half() -> int:
-    """Return 32 random bits that are not all 0."""
+    """Return one half of a session number: 32 random bits that are not all 0."""
     return secrets.randbelow(HALF) + 1

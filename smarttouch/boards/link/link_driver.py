@@ -30,27 +30,25 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable
 
-HEARTBEAT_S = 0.03  # longest pause of the host; the board's host timeout is 0.1 s
-SILENCE_S = 0.5  # silence after which a board is lost; in a session it sends every 20 ms
-LISTENED_S = 0.1  # largest silence counted for one read; more is a pause of this computer
+HEARTBEAT_S = 0.03  # longest time without a packet; the board's host timeout is 0.1 s
+SILENCE_S = 0.5  # silence after which a board is lost: in a session, boards send every 20 ms
+LISTENED_S = 0.1  # largest silence counted per read: a longer one is a pause of this computer
 ANSWER_S = 1.0
 ASKED_AGAIN_S = 0.25  # time after which a query is sent again
-PAUSED_S = 1.0  # time for which a pause of this computer explains refusals
+PAUSED_S = 1.0  # time after a pause of this computer in which the pause explains refusals
 LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
-AFTER_ZERO_S = 0.02  # wait after a stop, a period at 50 Hz, in which no slot may be counted
-MOST_COMPLIANCES = (
-    2.1  # largest voltage of a slot: sources of both poles reach twice the compliance
-)
+AFTER_ZERO_S = 0.02  # time after a stop, a period at 50 Hz, in which a slot is a fault
+MOST_COMPLIANCES = 2.1  # largest slot voltage over compliance: sources of both poles reach 2
 OPEN_SHARE = 0.97  # share of the compliance; if all slots reach it, nothing touches the electrodes
-_PIECE = 1024  # bytes of kernels in one packet, which blocks the line
-_IDLE = 3  # attempts without newly stored kernels
+_PIECE = 1024  # bytes of kernels per packet: a longer one would block the line for long
+_IDLE = 3  # packets without newly stored kernels, after which storing has failed
 _COUNTED = "sequences", "slots", "pulses", "violations", "refused_packets"
 
 
 class LinkSession:
-    """Session with a board, from before HELLO on; each `open` begins a new one. A fault is stored,
-    and the next call raises it.
+    """Session with a board, including the HELLO before it. Each `open` begins a new session. A
+    fault is stored, and the next call raises it.
 
     Parameters
     ----------
@@ -71,9 +69,9 @@ class LinkSession:
         # longest wait for an answer, and longest silence of the board in a session
         self.answer_s: float = ANSWER_S
         self.silence_s: float = SILENCE_S
-        self.refused: int = 0  # refused packets of the board, in all sessions
+        self.refused: int = 0  # packets of the board that were refused, in all sessions
         self.news: threading.Condition = threading.Condition()
-        self.paused_at_s: float = -PAUSED_S  # last write after a long pause
+        self.paused_at_s: float = -PAUSED_S  # last write after a pause
         self._receive, self._draw = receive, draw
         self._closed = threading.Event()
         self._reader: threading.Thread | None = None
@@ -82,13 +80,13 @@ class LinkSession:
     def _restart(self) -> None:
         self.number: int = self._draw()  # the upper half is 0 until the board has answered HELLO
         self.begun: bool = False  # whether the board has answered BEGIN
-        self.sent: int = 0  # number of the last packet
+        self.sent: int = 0  # number of the last packet sent
         self.fault: BoardError | None = None
         self._taken = self._offered = 0
         self._asked: dict[int, MessageKind] = {}  # pending queries by number
         self._answers: dict[int, Message] = {}
         self._deframer = Deframer()
-        self._ahead_ns: deque[int] = deque(maxlen=16)  # recent offsets of the clocks
+        self._ahead_ns: deque[int] = deque(maxlen=16)  # recent clock offsets to the board
 
     def open(self, line: Line) -> None:
         """Start reading from a connected line."""
@@ -116,8 +114,8 @@ class LinkSession:
     # -- queries -----------------------------------------------------------
 
     def begin(self, accept: Callable[[Message], None]) -> None:
-        """Begin a session with a board, unless ``accept`` raises on its CAPABILITIES (of any
-        version)."""
+        """Begin a session with a board. ``accept`` receives its CAPABILITIES, of any version, and
+        raises an error to reject the board."""
         deadline_s = self.now_s() + self.answer_s
         while True:
             accept(self.ask(MessageKind.HELLO))
@@ -126,15 +124,15 @@ class LinkSession:
                     self.ask(MessageKind.BEGIN, within_s=ASKED_AGAIN_S)
                 return
             except SilentBoardError:
-                # Another HELLO may have replaced the board's offer.
+                # The board may have a new challenge, for example after a restart: send HELLO again.
                 if self.now_s() >= deadline_s:
                     raise
 
     def ask(
         self, question: MessageKind, payload: bytes = b"", within_s: float | None = None
     ) -> Message:
-        """Repeat a query until it is answered. Raises SilentBoardError after ``within_s``, by
-        default `answer_s`."""
+        """Send a query until it is answered, and return the answer. Raises SilentBoardError after
+        ``within_s``, by default `answer_s`."""
         kind, first = protocol.ANSWERS[question], self.sent + 1
         deadline_s = self.now_s() + (self.answer_s if within_s is None else within_s)
 
@@ -181,7 +179,7 @@ class LinkSession:
         *,
         proved: ProvedSequence | None = None,
     ) -> None:
-        """Write the next packet of the session; for a packet with a sequence see `Line.write`."""
+        """Write the next packet of the session. ``proved`` is that of `Line.write`."""
         try:
             # Number packets under the lock, so that they are sent in order.
             with self.line.current():
@@ -196,7 +194,7 @@ class LinkSession:
             self.paused_at_s = self.written_s
 
     def fail(self, fault: BoardError) -> None:
-        """Store the first fault for the next call."""
+        """Store a fault, unless there is one; the next call raises it."""
         with self.news:
             self.fault = self.fault or fault
             self.news.notify_all()
@@ -215,7 +213,7 @@ class LinkSession:
                 return
             before_s, now_s = now_s, self.now_s()
             silent_s += min(now_s - before_s, LISTENED_S)
-            # Before a session a board sends nothing unrequested.
+            # Before a session silence is normal: boards only answer.
             if self.take(data) or not self.begun:
                 silent_s = 0.0
             if silent_s > self.silence_s:
@@ -223,8 +221,8 @@ class LinkSession:
                 return
 
     def take(self, data: bytes) -> list[Message]:
-        """Process bytes from the board; return the packets of the session. Old packets, packets of
-        other sessions and unrequested answers are counted."""
+        """Process bytes from the board, and return the packets of the session. Old packets, packets
+        of other sessions and unrequested answers are only counted."""
         taken = []
         for message in map(protocol.decode, self._deframer.feed(data)):
             kind, is_answer = message.kind, message.kind in protocol.ANSWERS.values()
@@ -250,12 +248,12 @@ class LinkSession:
         return taken
 
     def refuse(self) -> None:
-        """Count a refused packet, but not before CAPABILITIES: it may be from an earlier run."""
+        """Count a refused packet. Before CAPABILITIES, packets may be from an earlier run."""
         self.refused += self.number > HALF
 
     def _accept_offer(self, offer: Message) -> bool:
         if offer.version != VERSION:
-            # `accept` reports boards of other versions.
+            # `begin` passes this on to ``accept``, which reports the version.
             return not self.begun
         was_asked = self._asked.pop(offer.about, None) == offer.kind
         if offer.session & HALF != self.number & HALF or not was_asked:
@@ -266,9 +264,9 @@ class LinkSession:
         return True
 
     def start_ns(self, board_us: int, sent_ns: int, now_ns: int) -> int:
-        """Return the start of a sequence by the host's clock, from the fastest of the last answers.
-        ``board_us`` is the start by the board's clock, ``sent_ns`` the time of sending, ``now_ns``
-        the time of the answer."""
+        """Return the start of a sequence by the host's clock. The fastest of the last 16 answers
+        gives the clock offset. ``board_us`` is the start by the board's clock, ``sent_ns`` the time
+        of sending, ``now_ns`` the time of the answer."""
         if self._ahead_ns and 1000 * board_us + min(self._ahead_ns) < sent_ns:
             # A start before sending means that the board's clock has paused.
             self._ahead_ns.clear()
@@ -296,17 +294,17 @@ class LinkDriver(Driver):
             raise BoardError("link: needs a port, for example link:/dev/ttyACM0")
         self.port = port
         self._session: LinkSession = LinkSession(self._receive)
-        self._flight: SentPart | None = None  # sent without an answer yet
+        self._flight: SentPart | None = None  # part sent and not answered yet
         self._again_s = 0.0
         self._output, self._limits = output, limits
         self.can: Capabilities | None = None  # known after CAPABILITIES
         self._number = 0
-        self._last_report: BoardReport | None = None  # of the stopped board
-        self._report: BoardReport  # at the last opening
-        self._first: BoardReport  # at the first opening, or after the board was switched on again
-        self._slots_sent = 0  # since the last opening, including repetitions
-        self._unsafe_refused = 0  # refused sequences; repeated ones may count twice
-        self._suspicion = ""  # fault found in reports, until the board is latched
+        self._last_report: BoardReport | None = None  # report of the stopped board
+        self._report: BoardReport  # report at the last opening
+        self._first: BoardReport  # report at the first opening, or after a new power-on
+        self._slots_sent = 0  # slots since the last opening, including repetitions
+        self._unsafe_refused = 0  # sequences that the board may have refused as unsafe
+        self._suspicion = ""  # fault found in reports; `idle` latches the board
         self._table: KernelTable | None = None
         self._image: encoding.KernelImage | None = None
         self._sent: dict[int, SentPart] = {}  # recent parts by number
@@ -327,7 +325,7 @@ class LinkDriver(Driver):
         self._give_kernels()
         self._report, self._last_report = self._ask_report(), None
         self._slots_sent = self._unsafe_refused = 0
-        # A board counts from when it was switched on.
+        # Boards count from power-on: a smaller count means that it was switched on again.
         if not line.reopened or self._report.sequences < self._first.sequences:
             self._first = self._report
         assert self.can is not None
@@ -337,14 +335,14 @@ class LinkDriver(Driver):
         self._line.connect(str(self.port))
 
     def write(self, proved: ProvedSequence) -> None:
-        """Send a sequence, in parts if it exceeds the board's capacity; each part is due when the
-        one before has begun."""
+        """Send a sequence, in parts if it exceeds the board's capacity. Each part is sent when the
+        board has begun the part before."""
         can, session, line = self.can, self._session, self._line
         assert can is not None
         for part in encoding.encode_scan(proved.sequence, proved.times, can, self._image):
             self._number += 1
             with session.news:
-                # The board can hold one waiting sequence.
+                # Wait for the ACK before: the board can hold only one waiting sequence.
                 if (flight := self._flight) is not None and not session.wait(
                     lambda: not self._flight or session.fault is not None or line.is_stopped,
                     session.answer_s,
@@ -382,7 +380,7 @@ class LinkDriver(Driver):
                 return
             session.ask(MessageKind.STOP)
         except BoardError:
-            # The loss of the board is reported now or at the next send.
+            # The next `send` raises a stored fault; raise only other errors here.
             if session.fault is None:
                 raise
             return
@@ -400,14 +398,14 @@ class LinkDriver(Driver):
     def close(self) -> None:
         session = self._session
         if session.begun:
-            # End the session, in which a board would refuse the next HELLO; not possible after a
-            # stop.
+            # End the session: a board in a session refuses the next HELLO. After a stop this write
+            # fails.
             with contextlib.suppress(BoardError):
                 session.send(MessageKind.STOP)
         session.close()
 
     def idle(self) -> float | None:
-        """Send a sequence without an ACK again unless it is late, and a heartbeat if one is due."""
+        """Repeat a sequence without an ACK unless it is late; send a heartbeat if one is due."""
         session = self._session
         if session.fault is not None:
             raise session.fault
@@ -422,13 +420,13 @@ class LinkDriver(Driver):
                 self._again_s = now_s + AGAIN_S
                 self._unsafe_refused += 1
                 payload, proved = flight.part.payload, flight.proved
-                # If it is late, the next sequence reports the loss. It has the same number, so that
-                # the board recognizes it if only the ACK was lost.
+                # The number is the same, so that the board recognizes a repetition if only the ACK
+                # was lost. If the sequence is late, the next one reports the loss.
                 with contextlib.suppress(SequenceLateError):
                     session.send(MessageKind.SEQUENCE, flight.number, payload, proved=proved)
         if session.begun and now_s - session.written_s > HEARTBEAT_S:
             session.send(MessageKind.HEARTBEAT)
-        # next heartbeat
+        # time until the next heartbeat is due
         return max(HEARTBEAT_S / 4, session.written_s + HEARTBEAT_S * 2 / 3 - now_s)
 
     # -- the session ---------------------------------------------------------
@@ -440,7 +438,7 @@ class LinkDriver(Driver):
         if answer.version != VERSION:
             raise BoardError(
                 f"the board at {name} speaks link version {answer.version}, but this program "
-                f"{VERSION}: bring both to the same"
+                f"speaks version {VERSION}: update the older one"
             )
         end = protocol.CAPABILITIES.size
         if len(answer.payload) < end:
@@ -449,7 +447,7 @@ class LinkDriver(Driver):
             protocol.CAPABILITIES.unpack_from(answer.payload)
         )
         if kind >= len(protocol.OUTPUTS):
-            raise BoardError(f"the board at {name} has outputs of unknown kind {kind}")
+            raise BoardError(f"the board at {name} has outputs of unknown kind {kind}: check it")
         keeps = bool(able & Feature.KERNELS)
         can = Capabilities(
             electrodes=electrodes, output=protocol.OUTPUTS[kind], max_current_ma=current_ua / 1000,
@@ -485,14 +483,14 @@ class LinkDriver(Driver):
         self._give_kernels()
 
     def _give_kernels(self) -> None:
-        """Store as many kernels as fit on the board; others are sent as currents."""
+        """Store as many kernels as fit on the board; slots with others are sent as currents."""
         can, self._image = self.can, None
         if self._table is None or can is None or not can.kernel_bytes or not can.packet_bytes:
             return
         image = encoding.KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
         piece = min(_PIECE, can.packet_bytes - encoding.OVERHEAD - protocol.KERNELS.size)
         at, furthest, data, idle = 0, 0, b"", 0
-        # Send only kernels that are not stored yet; a board that stores nothing is lost.
+        # Send only kernels not stored yet. A board that stores nothing new counts as lost.
         while idle < _IDLE:
             head = protocol.KERNELS.pack(image.identity, len(image.data), at)
             answer = self._session.ask(MessageKind.KERNELS, head + data).payload
@@ -502,7 +500,7 @@ class LinkDriver(Driver):
             if identity == image.identity and whole:
                 if proof != protocol.digest_of(image.data, self._session.number):
                     raise self._line.fault(
-                        f"the board at {self._line.name} holds other kernels than those sent"
+                        f"the board at {self._line.name} stores kernels that differ from those sent"
                     )
                 self._image = image
                 return
@@ -513,12 +511,12 @@ class LinkDriver(Driver):
             at, data = stored, image.data[stored : stored + piece]
         # The session may have ended, for example after a pause of 100 ms of the host.
         raise LineLostError(
-            f"the board at {self._line.name} does not keep the kernels that it is sent: check "
+            f"the board at {self._line.name} does not store the kernels sent to it: check "
             "its firmware"
         )
 
     def _ask_report(self) -> BoardReport:
-        """Query a REPORT, with all packets that the board has refused."""
+        """Query the REPORT of the board; old and foreign packets count as refused."""
         answer = self._session.ask(MessageKind.STATUS)
         if len(answer.payload) != protocol.REPORT.size:
             raise self._malformed()
@@ -573,8 +571,8 @@ class LinkDriver(Driver):
                 session.refuse()
 
     def _note_volts(self, sent: SentPart, payload: bytes) -> None:
-        """Report the voltages of a scan when those of its last part arrive; an odd byte is
-        dropped."""
+        """Report the voltages of a scan when those of its last part arrive. An odd last byte is
+        ignored."""
         sequence, part = sent.proved.sequence, sent.part
         counts = np.frombuffer(payload[: len(payload) // 2 * 2], "<u2")
         if len(counts) != part.slots or not len(counts):
@@ -615,7 +613,7 @@ class LinkDriver(Driver):
         line.board.refused += 1
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             self._unsafe_refused += 1
-            # Clocks differ, so a rise may be too fast for the board: restart at zero.
+            # By the board's clock the intensity may rise too fast: restart at zero.
             lost = line.lost(f"refused sequence {message.about} as unsafe: {words}")
             session.fail(lost if rule == Rule.RISE else BoardError(str(lost)))
         elif why == Refusal.STOPPED and not line.is_stopped:

@@ -22,7 +22,7 @@ from smarttouch.stimulation.scan_sequence import (
     kept_kernels,
 )
 
-OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
+OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet in addition to its payload
 _MOST_SHAPES, _U16_MAX = 0xFF, 0xFFFF
 _SHAPE = struct.Struct("<HH")  # width and discharge, µs
 _OF_LISTS = [np.dtype(np.intp), np.dtype(np.uint16), np.dtype(np.uint16)]
@@ -39,13 +39,13 @@ class KernelImage:
 
     @classmethod
     def of(cls, table: KernelTable, room: int, most: int) -> Self:
-        """Encode as many kernels as fit the capacity in bytes and in number."""
+        """Encode the first kernels of a table: all that fit ``room`` bytes, at most ``most``."""
         data, count = kept_kernels(table.weights, table.site, room, most)
         return cls(table, count, data, protocol.digest_of(data))
 
 
 def encode_limits(limits: SafetyLimits) -> bytes:
-    """Return the payload of LIMITS, rounded to the safe side."""
+    """Return the payload of LIMITS, with fractions rounded up."""
     part, duty_whole = limits.duty_ratio
     head = protocol.LIMITS.pack(
         limits.period_us, limits.total_ua, limits.pulse_whole_us, math.ceil(limits.full_ua),
@@ -71,9 +71,9 @@ def encode_scan(
 ) -> list[ScanPart]:
     """Encode a proved sequence as payloads of SEQUENCE, in parts if necessary.
 
-    A slot becomes a list of kernels if these, as stored on the board (``image``), give exactly its
-    currents. Other slots are encoded as currents, or as states for boards with one source. Voltages
-    are requested if the board measures them.
+    A slot is encoded as a list of kernels if the kernels stored on the board (``image``) add up to
+    exactly its currents. Other slots are encoded as currents, or as states for boards with one
+    source. Voltages are requested if the board measures them.
     """
     parts: list[ScanPart] = []
     most_bytes, most_slots = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD, can.max_slots
@@ -88,13 +88,13 @@ def encode_scan(
             middle = (start + end) // 2
             waiting += [(middle, end), (start, middle)]
         elif image is not None:
-            # A single slot may have too many kernels.
+            # A slot may have too many kernels for one packet: send currents instead.
             return encode_scan(sequence, times, can, None)
         elif end - start > 1:
             raise BoardError(
-                f"{end} slots are more than this board takes at once ({most_slots} slots, "
-                f"{most_bytes} bytes), and what is sent in parts is not repeated by the board: "
-                "send it once each period"
+                f"{end} slots are more than this board accepts at once ({most_slots} slots, "
+                f"{most_bytes} bytes), and a board does not repeat a scan sent in parts: send the "
+                "sequence once per period, with times=1"
             )
         else:
             raise BoardError(
@@ -105,7 +105,7 @@ def encode_scan(
 
 
 class _Columns(NamedTuple):
-    """Slots in encoded form."""
+    """Slots of a sequence in encoded form, before they are split into parts."""
 
     shapes: bytes  # table of pulse shapes
     keys: list[tuple[int, int]]  # kind and index into `shapes` of each slot
@@ -127,7 +127,7 @@ def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) 
     if (
         image is not None and not switched and times_us and isinstance(lists, KernelLists)
         and lists.table is image.table
-        # Other types and sizes could overflow on the wire.
+        # Arrays of other types or sizes could overflow on the wire.
         and [lists.first.dtype, lists.kernel.dtype, lists.amplitude.dtype] == _OF_LISTS
         and (len(lists.first), lists.first[0]) == (len(times_us) + 1, 0)
         and len(lists.kernel) == len(lists.amplitude) == lists.first[-1]
@@ -137,7 +137,7 @@ def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) 
         pairs = np.array([lists.kernel, lists.amplitude], "<u2").T.tobytes()
         same = (lists.site == sequence.site) & (lists.current_ua == sequence.current_ua).all(axis=1)
         for slot, (at, until) in enumerate(itertools.pairwise(first)):
-            # Use lists only if the board computes exactly the proved currents, in 32 bits.
+            # Use lists only if the board, in 32 bits, computes exactly the proved currents.
             whole = until > at and max(kernel[at:until]) < image.count and until - at <= FULL
             if same[slot] and whole and sum(amplitude[at:until]) <= FULL:
                 kinds[slot] = POINTS if until - at == 1 else SUM
@@ -153,7 +153,7 @@ def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) 
 
 def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> bytes:
     """Return site, source current and states of each slot."""
-    # The gate allows less than fits 16 bits.
+    # The gate allows only currents that fit 16 bits.
     source_ua = np.maximum(current_ua, 0).sum(axis=1)
     bits = np.stack([current_ua > 0, current_ua < 0], axis=-1).reshape(len(site), -1)
     states = np.packbits(bits, axis=1, bitorder="little")
@@ -164,7 +164,7 @@ def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> b
 def _payload(
     sequence: ScanSequence, columns: _Columns, start: int, end: int, times: int, measure: bool
 ) -> bytes:
-    """Return the payload of some slots; the last one includes the recharge phase."""
+    """Return the payload of slots from ``start`` to ``end``, with the recharge if it follows."""
     shapes, keys, first, pairs, rows = columns
     flags = protocol.GOES_ON * (start > 0) | protocol.MORE * (end < len(keys))
     flags |= protocol.MEASURE * measure
@@ -178,7 +178,7 @@ def _payload(
     data, size, at = [head, shapes, tail], len(rows) // max(1, len(keys)), start
     for slot in range(start + 1, end + 1):
         kind, shape = keys[at]
-        # Each sum is its own group.
+        # Each sum of kernels needs its own group.
         if kind != SUM and slot < end and keys[slot] == keys[at]:
             continue
         count, body = slot - at, rows[at * size : slot * size]
