@@ -39,8 +39,8 @@ from smarttouch.stimulation.sequence_limits import Dose
 
 __all__ = ["Board", "BoardReport", "Capabilities"]
 
-FARTHEST_NS = 10_000_000_000  # largest lead of a planned start; more means a time of another clock
-PROBES = 10  # attempts at each measuring scan: a busy computer may lose its readings
+FARTHEST_NS = 10_000_000_000  # starts planned further ahead are rejected as times of another clock
+PROBES = 10  # attempts at each measuring scan, because a busy computer can lose readings
 ENDS_WITHIN_S = 3.0  # longest wait for the end of the sender thread
 QUEUED_S = 0.5  # `send` waits this long, plus four periods, before it replaces a queued sequence
 RESTARTS = 3  # attempts to reconnect a lost board
@@ -131,7 +131,7 @@ class Board:
         self._output = output
         self._limits = limits.on(output)
         self.clock: Clock = clock or MonotonicClock()
-        # A board that uses stated times never drops late sequences.
+        # A board that uses the times stated in sequences never drops late ones.
         self._late_ns = late_ns if self.announced else 2**62
         self._gate = SafetyGate(self._limits, None if claimed_time else self.clock)
         self.ramp: Ramp = self._gate.ramp
@@ -147,7 +147,7 @@ class Board:
         self._starts: dict[int, tuple[int, int]] = {}
         self._volts: deque[Measured] = deque(maxlen=_MOST_VOLTS)
         self._statistics = reports.HostStatistics(limits.electrodes)
-        # shared with the sender thread
+        # The sender thread shares the attributes below.
         self._news = threading.Condition()
         self._waiting: ProvedSequence | None = None
         self._busy = False
@@ -166,7 +166,7 @@ class Board:
         """Connect to the device and set all electrodes to zero.
 
         From the start of this call, ``smarttouch stop`` stops a board that a finger may be on.
-        Opening waits up to a second if earlier sequences have used up the net charge of a second.
+        Opening waits up to a second if earlier sequences have used up the net charge per second.
 
         Raises
         ------
@@ -187,7 +187,7 @@ class Board:
             )
         enter(self)
         try:
-            # A new run starts at zero intensity, and its stated times may begin at 0 again.
+            # A new run starts at zero intensity, and the times in its sequences may restart at 0.
             self._gate.begin_session()
             self._zeroed = False
             self._stopped.clear()
@@ -299,7 +299,7 @@ class Board:
                     try:
                         self._line._put_at_zero()
                     except (BoardClosedError, LineLostError):
-                        # A lost board that returns to zero by itself was reported when it was lost.
+                        # Raise on the first loss, or if the board stays on without a host.
                         if not self._is_lost or self.capabilities.time_to_zero_ms is None:
                             raise
             self._zeroed = True
@@ -310,7 +310,7 @@ class Board:
         self.stop()
 
     def _drop_waiting(self) -> None:
-        """Drop the waiting sequence, and wake waiting threads."""
+        """Drop the queued sequence, and wake all waiting threads."""
         with self._news:
             self._waiting = None
             self._news.notify_all()
@@ -328,7 +328,7 @@ class Board:
     # -- sending -----------------------------------------------------------
 
     def send(self, sequence: ScanSequence, times: int = 1, due_ns: int | None = None) -> int:
-        """Let the safety gate prove a sequence, then send it.
+        """Let the safety gate prove a sequence safe, then send it.
 
         Parameters
         ----------
@@ -389,7 +389,7 @@ class Board:
         raise failure
 
     def _not_sent(self, error: BoardError) -> BoardError:
-        """Restart the ramp or the lost board, and return the error for a sequence not sent."""
+        """Return the error for an unsent sequence, after a restart of the ramp or a lost board."""
         # If the board was stopped, raise that error instead: the stop explains any failure.
         self._line.require_running()
         if isinstance(error, SequenceLateError):
@@ -439,7 +439,7 @@ class Board:
 
     @property
     def _is_over(self) -> bool:
-        """Whether sending has ended."""
+        """Whether the sender thread has failed or the board was stopped."""
         return self._failure is not None or self._stopped.is_set()
 
     def _raise_failure(self) -> None:
@@ -505,7 +505,7 @@ class Board:
                 self._failure = fault
             self._news.notify_all()
         if not isinstance(fault, LineLostError):
-            # Without this the board would repeat its last pattern.
+            # Set zero, because the board would repeat its last pattern.
             with contextlib.suppress(BoardError):
                 self._line._put_at_zero()
 
@@ -519,7 +519,7 @@ class Board:
         BoardStoppedError
             If the board was stopped; all electrodes are at zero.
         BoardError
-            If the board is closed, cannot measure, or answers invalidly.
+            If the board is closed, cannot measure, or gives invalid answers.
         """
         self._require_own("measuring")
         self._line.require_running()
@@ -528,7 +528,7 @@ class Board:
             self._volts.clear()
             return measure_by_probes(self._probe, self._limits, self._output, self.capabilities)
         finally:
-            # The next run starts at zero, and its stated times may begin at 0 again.
+            # The next run starts at zero, and the times in its sequences may restart at 0.
             self._gate.restart()
 
     def _probe(self, probe: ScanSequence) -> NDArray[np.float64]:

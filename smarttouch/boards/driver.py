@@ -91,15 +91,15 @@ class Driver(ABC):
         Raises
         ------
         BoardError
-            If a wrong device answers, or none.
+            If the wrong device answers, or no device.
         """
 
     @abstractmethod
     def write(self, proved: ProvedSequence) -> None:
         """Send a sequence to the device, by `Line.write` or within `Line.current`.
 
-        If the host times the passes (`Capabilities.host_timed`), this returns after the last pass,
-        or earlier if `Line.has_newer`. The next `Board.send` then raises any error.
+        If the host times the passes (`Capabilities.host_timed`), `write` returns after the last
+        pass, or earlier if `Line.has_newer`. The next `Board.send` then raises any error.
         """
 
     @abstractmethod
@@ -165,7 +165,7 @@ class Line:
         self.now_ns: Callable[[], int] = board.clock.now_ns
         self.identity: UsbIdentity | None = None
         self.recording: Path | None = None
-        self._entries: SimpleQueue[str] = SimpleQueue()  # of the recording; an empty string ends it
+        self._entries: SimpleQueue[str] = SimpleQueue()  # lines of the recording; "" ends it
         self._port: Port | None = None
         self._stopped = threading.Event()
         # Reentrant, because a signal handler may stop the board while its thread is writing.
@@ -184,7 +184,7 @@ class Line:
         name : str
             A device, ``tcp://HOST:PORT``, or any URL that pyserial knows.
         wrap : callable
-            Returns a replacement for the open port, such as a watched port.
+            Returns a replacement for the open port, such as a `WatchedPort`.
         baudrate : int
 
         Raises
@@ -262,7 +262,7 @@ class Line:
                 if proved is not None:
                     if type(proved) is not ProvedSequence:
                         kind = type(board.driver).__name__
-                        raise BoardError(f"{kind} sent an unproved sequence: send `proved`")
+                        raise BoardError(f"{kind} sent an unproved sequence: send a ProvedSequence")
                     if proved.session != board._gate.session:
                         raise BoardStoppedError("the board was opened again: start at intensity 0")
                     permits = board._gate.ramp.permits
@@ -277,7 +277,7 @@ class Line:
                     can = board.capabilities
                     passes = 1 if can.host_timed else proved.times
                     board._over_s = time.monotonic() + passes * proved.sequence.period_us / 1e6
-                    # Parts of a sequence count once.
+                    # A sequence sent in parts counts once.
                     if not (can.acknowledges or can.host_timed or proved.number == board._counted):
                         self.delivered(proved, proved.times)
             finally:
@@ -293,7 +293,7 @@ class Line:
         Raises
         ------
         SequenceLateError
-            If the start is too late, even after all repetitions and the longest wait for others.
+            If the start is later than all repetitions and the longest wait can explain.
         """
         try:
             return self.board._gate.repeated(proved, due_ns)
@@ -303,7 +303,7 @@ class Line:
     # -- reading -----------------------------------------------------------
 
     def read(self, count: int, within_s: float) -> bytes:
-        """Return at most ``count`` bytes, those received within ``within_s``."""
+        """Return the bytes received within ``within_s``, at most ``count``."""
         with self._open_port("has vanished") as port:
             port.timeout = within_s
             data = bytes(port.read(count))
@@ -356,7 +356,7 @@ class Line:
 
     @contextlib.contextmanager
     def _open_port(self, what: str) -> Iterator[Port]:
-        """Yield the port. Raises LineLostError, with ``what`` happened, if the port fails."""
+        """Yield the port. If it fails, raise LineLostError, with ``what`` in the message."""
         if (port := self._port) is None:
             raise BoardClosedError("the board is not connected: open it first")
         try:
@@ -373,7 +373,7 @@ class Line:
         self.require_running()
 
     def pause(self, seconds: float) -> None:
-        """Wait. Raises BoardStoppedError if the board is stopped."""
+        """Wait some seconds. Raises BoardStoppedError if the board is stopped."""
         if threading.get_ident() in self._zeroing:
             time.sleep(seconds)
         else:
@@ -451,8 +451,8 @@ class Line:
         board = self.board
         if board._fault_found is None:
             board._fault_found = BoardFaultError(
-                f"{reason}: the board is at zero and latched; have it checked, then clear it with "
-                "smarttouch devices clear"
+                f"{reason}: the board is at zero and latched; have the board checked, then "
+                "clear the fault with smarttouch devices clear"
             )
             with contextlib.suppress(BoardError):
                 board.halt()

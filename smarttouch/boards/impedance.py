@@ -21,7 +21,7 @@ SHORT_FACTOR = 0.1
 differ by a factor of two or three."""
 
 Array = NDArray[np.float64]
-Condition = Literal["good", "open", "short", "unsure"]  # unsure: repeated ones disagree
+Condition = Literal["good", "open", "short", "unsure"]  # unsure: measurements disagree
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,15 +30,15 @@ _WITHOUT_FINGER: dict[str, dict[str, Any]] = {
     "memory": {"on_a_finger": False, "claimed_time": True},
     "simulated": {"on_a_finger": False, "claimed_time": True, "simulated_time": True},
 }
-"""Boards that no finger can touch, with options of `Board`. On all others, including those of other
-packages, there may be a finger; these use the machine's clock."""
+"""Boards that no finger can touch, with options of `Board`. All other boards, including those of
+other packages, may have a finger on them, and use the machine's clock."""
 
 
 def make_board(
     url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
 ) -> Board:
     """Return a board, still closed, for a URL. The URL may contain options of the driver, as in
-    ``emulator:?books=FOLDER``, and ``record=FILE``, a new file that records its line."""
+    ``emulator:?books=FOLDER``, and ``record=FILE``, a new file for the bytes of the line."""
     opener, rest = BOARDS.find(url)
     rest, from_url = read_options(opener, rest, BoardError, ("output",), record=Path)
     path = from_url.pop("record", None)

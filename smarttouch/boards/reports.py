@@ -27,14 +27,14 @@ class Capabilities:
     max_current_ma: float
     max_slots: int
     time_to_zero_ms: float | None
-    """Time from the host's last byte to zero current; None if unlimited."""
+    """Time from the host's last byte to zero current; None if the board does not stop."""
     firmware: str
     polarities: tuple[Polarity, ...] = ("anodic", "cathodic")
     acknowledges: bool = False
     """Whether the board reports the start of each sequence."""
     host_timed: bool = False
     """Whether the host times each pass. The sender thread then calls `Driver.write`, which reports
-    each pass and returns after the last. A newer sequence replaces a waiting one."""
+    each pass and returns after the last pass. A newer sequence replaces a waiting one."""
     measures: bool = False
     """Whether the board measures the voltage of each slot."""
     force: bool = False
@@ -78,8 +78,8 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class BoardReport:
-    """Counts and maxima of the delivery since a board was opened. Maxima that the board itself
-    reports count from when it was switched on."""
+    """Delivery report of a board since it was opened. Maxima in the board's own report are since it
+    was switched on."""
 
     sequences: int
     slots: int
@@ -121,7 +121,7 @@ class HostStatistics:
         peaks_ua = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1) * (most > 0)
         charges_pc = peaks_ua * sequence.width_us
         self._ledger.add(sequence, times)
-        # absolute charge of each electrode
+        # absolute charge of each electrode in a pass, µC
         each_uc = sequence.width_us @ np.abs(sequence.current_ua.astype(np.int64)) / 1e6
         self._unsure_uc = self._unsure_uc + (most - times) * each_uc
         net_uc = self._ledger.worst_uc + float(self._unsure_uc.max())
@@ -143,7 +143,7 @@ class HostStatistics:
 
 
 def latch(device: str, reason: str) -> None:
-    """Record a fault of a board, unless it has a record."""
+    """Record a fault of a board, unless an earlier fault is recorded."""
     if find_latch(device) is None:
         path = _record(device)
         make_folder(path.parent)

@@ -1,9 +1,9 @@
 """The run registry: a folder in which each run that may drive a finger has an entry.
 
-``runs/ID.json`` describes a run. ``runs/ID.lock`` is locked until its process ends in any way. To
+``runs/ID.json`` describes a run. ``runs/ID.lock`` is locked until the process of the run ends. To
 stop a run, `stop_all` writes ``runs/ID.stop``. The run looks for this file every 50 ms, sets its
 boards to zero, and renames the file to ``ID.zero`` or ``ID.unconfirmed``. No process is signaled:
-process id and start time only tell whether a run has ended, and name it in messages.
+process id and start time only show whether a run has ended.
 """
 
 import json
@@ -54,7 +54,7 @@ class _Run:
     def read(cls, run_id: str) -> "_Run":
         with suppress(OSError, ValueError, TypeError):
             run = cls(**json.loads(_read(registry_folder() / f"{run_id}.json")) | {"id": run_id})
-            # The sum raises TypeError for a file of another program, with other types.
+            # The sum raises TypeError if another program wrote the file, with other types.
             if run.host and run.pid + run.start_ns + run.current_ua:
                 return run
         return cls(run_id)
@@ -109,7 +109,7 @@ class _Run:
             withdrawn = registry_folder().exists() and not (self.has("json") or self.is_locked)
             if self.has("unconfirmed"):
                 return Answer(f"{name} could not confirm zero: switch the board off")
-            # A run removes its entry after it closed its boards, perhaps even before the stop.
+            # A run removes its entry after it has closed its boards, perhaps even before the stop.
             if withdrawn or (self.has("zero") and not self.has("stop")):
                 self.remove("stop")
                 return Answer(f"{name} has confirmed zero", at_zero=True)
@@ -129,7 +129,7 @@ class _Run:
 class RunEntry:
     """Entry of this process in the run registry.
 
-    ``on_stop`` is called from a thread with the reason to end; it returns whether all boards have
+    A thread calls ``on_stop`` with the reason to end. This function returns whether all boards have
     confirmed zero.
     """
 

@@ -56,8 +56,8 @@ class _Process:
         self.runs: list[StopRequest] = []  # of runs, and of a command that opens a board
         self.command: Command | None = None
         self.signals: _Signals | None = None
-        self.in_run = False  # whether the main thread is in a run that a signal ends in order
-        self.reason = ""  # reason why this process may not open boards any more
+        self.in_run = False  # whether the main thread is in a run that ends itself after a signal
+        self.reason = ""  # reason why this process may no longer open boards
         self.entry: RunEntry | None = None
 
     def forget(self) -> None:
@@ -120,8 +120,8 @@ class _Process:
     def end(self, reason: str, *, for_good: bool = True) -> bool:
         """Set all boards to zero and ask all runs to end; return whether all boards have confirmed
         zero. With ``for_good``, no board can be opened afterwards."""
-        # Do not take the lock: a thread that waits for the disk may hold it. A board that enters
-        # now sees the reason, or is in the list.
+        # Do not take the lock: a thread that waits for the disk may hold it. A board that is
+        # being registered sees the reason, or is in the list.
         if for_good:
             self.reason = self.reason or reason
         boards, entry = [*self.boards], self.entry

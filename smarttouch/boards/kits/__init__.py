@@ -38,10 +38,10 @@ def steps_of(
     kind: str, scale_ua: float, limits: SafetyLimits, width_us: float, level_ua: NDArray[np.int64],
     electrode: NDArray[np.intp], counts: int = 1,
 ) -> NDArray[np.int64]:  # fmt: skip
-    """Convert levels of electrodes, (S,) µA, to integer steps of ``counts`` counts, at most so
-    large that neither rounding nor a wrong scale exceeds the limits of current and charge."""
+    """Convert levels of electrodes, (S,) µA, to integer steps of ``counts`` counts. The steps
+    are limited: neither rounding nor a wrong scale can exceed the limits of current and charge."""
     most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
-    # Without the tolerance, a limit that is a multiple of a step could lose this step.
+    # Without the tolerance, rounding could cut a limit that is a multiple of a step.
     most = np.floor(most_ua / (counts * max(scale_ua, NOMINAL_UA[kind])) + 1e-9)[electrode]
     return np.minimum(np.rint(level_ua / (counts * scale_ua)), most).astype(np.int64)
 

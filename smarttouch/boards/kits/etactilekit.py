@@ -2,11 +2,11 @@
 
 The wire format and safe dialogues are in `etactilekit_line`.
 
-The board reads its pattern at the start of a scan, so a pattern must be loaded before. The driver
-loads a pattern, enables pulses for the requested number of scans, and stops pulses again. The board
+The board reads its pattern at the start of a scan, so a pattern must be loaded before that. The
+driver loads a pattern, enables pulses for the requested number of scans, and stops pulses. A board
 does not report scans, but each scan changes its readings. Two queries with different readings
-bracket a scan, and from its time follow those of all others (`ScanLock`). Before the first bracket,
-or on a slow line, a pattern stays for more than one period. The report then has a range of scans.
+bracket a scan, which determines the times of all other scans (`ScanLock`). Before the first bracket
+and on a slow line, pulses are enabled for over one period, and reports state a range of scans.
 """
 
 import math
@@ -39,7 +39,7 @@ VOLTS_PER_COUNT = 0.0893
 DUMMY_KOHM = 66.0  # load in parallel with the skin; the load carries V / 66 kΩ
 COMPLIANCE_V = 300.0  # limit of the switches (HV513), the largest reading
 LONGEST_LOAD = 0.97  # largest share of a period that a scan may take
-OPEN_SHARE = 0.95  # share of the voltage without skin; lifted if all slots reach this share
+OPEN_SHARE = 0.95  # if all slots reach this share of the voltage without skin, the finger is lifted
 
 LOW, HIGH = 4, 12  # a reading below 4 (0.3 V) means no pulse, from 12 (1 V) on a pulse
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
@@ -61,7 +61,7 @@ class ScanLock:
     period_ns : int
         Period of the scans.
     last : Span or None
-        Bounds of the last scan start in a bracket, scan number 0; None if unknown.
+        Bounds of the start of scan number 0, that of the last bracket; None if unknown.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -107,7 +107,7 @@ class ScanLock:
         spans = [Span(max(s.early, bracket.early), min(s.late, bracket.late)) for s in scans]
         possible = [span for span in spans if span.early <= span.late]
         if len(possible) <= 1:
-            # A contradiction to the bounds means that the board was restarted or paused.
+            # If no scan fits the bracket, the board was restarted or paused.
             self.last = possible[0] if possible else None
 
     def check(self, time_ns: int) -> None:
@@ -168,7 +168,7 @@ class ETactileKitDriver(Driver):
         self._outputs = int(self._wiring.max()) + 1
         if self._outputs > 253:
             raise BoardError(
-                f"output {self._outputs - 1} is too high: an eTactileKit has outputs 0 to 252"
+                f"output {self._outputs - 1} does not exist: an eTactileKit has outputs 0 to 252"
             )
         self._limits = limits
         self._nothing = bytes(2 * self._outputs)
@@ -179,12 +179,12 @@ class ETactileKitDriver(Driver):
         """Forget what is known about the board's scans and settings."""
         self._on_board = b""  # pattern on the board; empty if uncertain
         self._settings: Settings | None = None  # settings on the board; None if uncertain
-        self._scan_ns = 0  # duration of its scans
+        self._scan_ns = 0  # duration of a scan
         self._lock = ScanLock(1)
         self._shown: ShownPattern | None = None
         # time of the last query, and its readings
         self._before: tuple[int, Readings] | None = None
-        self._answer_ns = 0  # duration of recent answers
+        self._answer_ns = 0  # shortest duration of recent answers
         self._stopped_ns = self._free_ns = 0
         self._seen_ua = 10**6  # current of the weakest pattern seen in readings
 
@@ -192,7 +192,7 @@ class ETactileKitDriver(Driver):
 
     def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
         self._limits = limits
-        # A disconnected board continues by itself, unless the watchdog has set it to zero.
+        # A disconnected board continues its pattern, unless the watchdog has set it to zero.
         self._opening, self._away = True, line.reopened and not self._kit.watched.at_zero
         try:
             if not line.reopened:
@@ -346,7 +346,7 @@ class ETactileKitDriver(Driver):
         return True
 
     def _set(self, settings: Settings) -> bool:
-        """Set pulse and rate while pulses are stopped; return whether the board confirmed both."""
+        """Set pulse shape and rate with pulses off; return whether the board confirmed both."""
         longest = max(
             chosen.scan_us(self._outputs, 20) for chosen in (settings, self._settings) if chosen
         )
@@ -373,8 +373,8 @@ class ETactileKitDriver(Driver):
     # -- the scans of the board -----------------------------------------------
 
     def _ask(self, body: bytes, *, drives: ProvedSequence | None = None) -> Span | None:
-        """Send commands and return the time of execution. Update the scan lock if readings show
-        that a scan has passed since the last query."""
+        """Send commands and return the time of execution. Update the bounds of scans if readings
+        show that a scan has passed since the last query."""
         before, settings, self._before = self._before, self._settings, None
         if (answer := self._kit.exchange(body, ask=True, drives=drives)) is None:
             return None
@@ -480,12 +480,12 @@ class ETactileKitDriver(Driver):
             if pulsed.any():
                 least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
             elif level_ua >= self._seen_ua and (readings < LOW).all():
-                # Weaker pulses were seen before, so there was no scan: the timing has changed.
+                # Weaker pulses were seen before, so no scan took place: the timing has changed.
                 self._lock.last, least = None, 0
             if least:
                 volts, lifted = (readings * VOLTS_PER_COUNT).astype(np.float32), None
                 if volts.any():
-                    # Without a finger all current flows through the load in parallel.
+                    # Without a finger all current flows through the load in parallel with the skin.
                     alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
                     lifted = bool((volts >= OPEN_SHARE * alone_v).all())
                 line.measured(sequence, volts, lifted)

@@ -10,14 +10,14 @@ On the wire (native USB, or TCP port 8080; little endian, no framing, no checksu
     F5      reply: chips        F4      reply: N, the only echo
 
 This is the protocol of commit 71adee2 and later. Older firmware has no F4 and one height for all
-electrodes (FB); its FE N×u8 selects electrodes. Boards with it are set to zero and rejected.
+electrodes (FB); its FE N×u8 selects electrodes. Such boards are set to zero and rejected.
 
 If a byte of FE is lost, the next byte completes a pattern shifted by eight bits, with up to 41 mA.
 The driver therefore stops pulses before each change (by a mode without pulses, or zero height),
 sends a query after the change, and restarts pulses only after the answer. If a byte is lost, the
 board reads the query as data. Then there is no answer and no pulse, and the driver resets the
 parser. Numbers avoid bytes that look like commands. Zeros follow each 16-bit number: a lost byte
-makes it smaller, never larger. *Doubled* bytes are not detected, but USB and TCP make none.
+makes it smaller, never larger. *Doubled* bytes are not detected, but do not occur on USB and TCP.
 """
 
 import contextlib
@@ -202,8 +202,8 @@ class ETactileKitLine:
                 f"the eTactileKit at {line.name} has {capacity} outputs, the profile needs "
                 f"{self.outputs}: use the profile of this board"
             )
-        # The number of electrodes is now zero, which PING echoes. Firmware that does not know PING
-        # answers only CHIPS.
+        # The number of electrodes is now zero, which PING echoes. Firmware without PING answers
+        # only CHIPS.
         if b"\0" + answer not in (line.ask(PING + CHIPS, 2, CHIPS_S) for _ in range(LOOKS)):
             for command in AT_REST:
                 line.write(command)
@@ -236,8 +236,8 @@ class ETactileKitLine:
     def exchange(
         self, body: bytes, *, ask: bool = False, drives: ProvedSequence | None = None
     ) -> tuple[Span, Readings] | None:
-        """Send commands and wait for their execution. Return its time span and, with ``ask``, the
-        readings before it, (N,), in the board's order. After a wrong answer, resynchronize the
+        """Send commands and wait until they are executed. Return the time span and, with ``ask``,
+        earlier readings, (N,), in the board's order. After a wrong answer, resynchronize the
         parser and return None. ``drives`` is the sequence whose pulses the commands start."""
         expected, begun_ns = 2 * self.outputs * ask + 1, self.line.now_ns()
         answer = self.line.ask(READINGS * ask + body + PING, expected, ECHO_S, drives)
@@ -352,7 +352,7 @@ class WatchedPort:
             )
 
     def read(self, count: int = 1) -> bytes:
-        """Return at most ``count`` bytes, those received within ``timeout``."""
+        """Return the bytes received within ``timeout``, at most ``count``."""
         self._port.timeout = self.timeout
         return bytes(self._port.read(count))
 

@@ -68,7 +68,7 @@ class Kajimoto61Driver(Driver):
         if line.reopened and line.identity is None:
             raise BoardError(
                 f"the board at {self.port} was lost; it has no USB serial number and cannot be "
-                "identified, so nothing is sent to a device that is back: check the cable, then "
+                "identified, so nothing is sent to a device that reconnects: check the cable, then "
                 "start again"
             )
         line.connect(str(self.port))
@@ -109,7 +109,7 @@ class Kajimoto61Driver(Driver):
             raise BoardError(
                 f"slot {slot} wants {-current_ua[slot]} µA anodic for {width_us[slot]} µs and "
                 f"{discharge_us[slot]} µs of discharge, but this board makes anodic pulses of "
-                f"{WIDTH_US} µs and grounds for {REST_US} µs: use its own profile",
+                f"{WIDTH_US} µs and grounds for {REST_US} µs: use the board's profile",
                 slot=slot,
             )
         shortest = self.timing.shortest_period_us(0, sequence.slots, ELECTRODES, WIDTH_US, REST_US)

@@ -48,7 +48,7 @@ def watch(port: int, control: int, zero: bytes) -> int:
 
 def write_zero(port: int, zero: bytes) -> bool:
     """Write the zero command twice, the second time in small pieces, because older firmware loses
-    fast bytes. Return whether the port accepted it."""
+    fast bytes. Return whether the port accepted all bytes."""
     for size in (len(zero), PIECE):
         for start in range(0, len(zero), size):
             piece = zero[start : start + size]
@@ -73,7 +73,7 @@ def _slept_s() -> float:
 
 
 def main() -> None:
-    """Watch the program described by the arguments."""
+    """Run the watchdog with the arguments of the command line."""
     # Use real-time priority if the system allows it.
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))

@@ -5,7 +5,7 @@ A packet is COBS-encoded and ends with one 0x00. Decoded, all little endian::
     u8  version = 5
     u8  type
     u32 number      counts the packets of one end in one session, from 1 on
-    u8  state       of the board: 1 its emergency switch is open; else 0
+    u8  state       of the board: 1 if its emergency switch is open; else 0
     u64 session
     u32 heard       largest number that this end has received from the other, else 0
     u32 about       in SEQUENCE, ACK, NAK and VOLTAGES, number of the sequence; in an
@@ -35,8 +35,8 @@ Output = Literal["weighted", "three-state", "one-against-all"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 
 CAPABILITIES = struct.Struct("<HBBHHHHIIH")
-"""Number and kind of outputs, features, largest current µA and number of slots, time to zero ms,
-compliance V; bytes for kernels, largest packet, largest number of kernels. A name follows."""
+"""Electrodes, output kind, features, largest current µA, most slots, time to zero ms, compliance V,
+bytes for kernels, bytes of the largest packet, most kernels. The firmware's name follows."""
 ALIVE = struct.Struct("<h")
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
 """Shortest period µs, total µA, longest pulse µs, full current µA, rounding µA, reserved, ramp ms,

@@ -30,7 +30,7 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable
 
-HEARTBEAT_S = 0.03  # longest time without a packet; the board's host timeout is 0.1 s
+HEARTBEAT_S = 0.03  # longest time without a packet of the host; the board's timeout is 0.1 s
 SILENCE_S = 0.5  # silence after which a board is lost: in a session, boards send every 20 ms
 LISTENED_S = 0.1  # largest silence counted per read: a longer one is a pause of this computer
 ANSWER_S = 1.0
@@ -38,8 +38,8 @@ ASKED_AGAIN_S = 0.25  # time after which a query is sent again
 PAUSED_S = 1.0  # time after a pause of this computer in which the pause explains refusals
 LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
-AFTER_ZERO_S = 0.02  # time after a stop, a period at 50 Hz, in which a slot is a fault
-MOST_COMPLIANCES = 2.1  # largest slot voltage over compliance: sources of both poles reach 2
+AFTER_ZERO_S = 0.02  # a slot within this time after a stop is a fault; one period at 50 Hz
+MOST_COMPLIANCES = 2.1  # largest valid slot voltage / compliance: 2 with sources at both poles
 OPEN_SHARE = 0.97  # share of the compliance; if all slots reach it, nothing touches the electrodes
 _PIECE = 1024  # bytes of kernels per packet: a longer one would block the line for long
 _IDLE = 3  # packets without newly stored kernels, after which storing has failed
@@ -53,7 +53,7 @@ class LinkSession:
     Parameters
     ----------
     receive : callable
-        Called with each unrequested packet, with `news` held.
+        Called with each unrequested packet, while `news` is held.
     draw : callable
         Returns the host's half of a new session number.
     """
@@ -71,7 +71,7 @@ class LinkSession:
         self.silence_s: float = SILENCE_S
         self.refused: int = 0  # packets of the board that were refused, in all sessions
         self.news: threading.Condition = threading.Condition()
-        self.paused_at_s: float = -PAUSED_S  # last write after a pause
+        self.paused_at_s: float = -PAUSED_S  # time of a write after a pause
         self._receive, self._draw = receive, draw
         self._closed = threading.Event()
         self._reader: threading.Thread | None = None
@@ -164,7 +164,7 @@ class LinkSession:
     def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
         """Encode the host's next packet."""
         if self.sent == LAST_NUMBER:
-            raise LineLostError(f"the session of {LAST_NUMBER} packets is over")
+            raise LineLostError(f"the session has used all {LAST_NUMBER} packet numbers")
         self.sent += 1
         if kind in protocol.ANSWERS:
             self._asked[self.sent] = protocol.ANSWERS[kind]
@@ -194,7 +194,7 @@ class LinkSession:
             self.paused_at_s = self.written_s
 
     def fail(self, fault: BoardError) -> None:
-        """Store a fault, unless there is one; the next call raises it."""
+        """Store a fault, unless one is stored; the next call raises it."""
         with self.news:
             self.fault = self.fault or fault
             self.news.notify_all()
@@ -213,7 +213,7 @@ class LinkSession:
                 return
             before_s, now_s = now_s, self.now_s()
             silent_s += min(now_s - before_s, LISTENED_S)
-            # Before a session silence is normal: boards only answer.
+            # Before a session silence is normal, because boards only answer queries.
             if self.take(data) or not self.begun:
                 silent_s = 0.0
             if silent_s > self.silence_s:
@@ -248,7 +248,7 @@ class LinkSession:
         return taken
 
     def refuse(self) -> None:
-        """Count a refused packet. Before CAPABILITIES, packets may be from an earlier run."""
+        """Count a refused packet; none before CAPABILITIES, as it may be of an earlier run."""
         self.refused += self.number > HALF
 
     def _accept_offer(self, offer: Message) -> bool:
@@ -302,7 +302,7 @@ class LinkDriver(Driver):
         self._last_report: BoardReport | None = None  # report of the stopped board
         self._report: BoardReport  # report at the last opening
         self._first: BoardReport  # report at the first opening, or after a new power-on
-        self._slots_sent = 0  # slots since the last opening, including repetitions
+        self._slots_sent = 0  # slots sent since the last opening, with repetitions
         self._unsafe_refused = 0  # sequences that the board may have refused as unsafe
         self._suspicion = ""  # fault found in reports; `idle` latches the board
         self._table: KernelTable | None = None
@@ -336,13 +336,13 @@ class LinkDriver(Driver):
 
     def write(self, proved: ProvedSequence) -> None:
         """Send a sequence, in parts if it exceeds the board's capacity. Each part is sent when the
-        board has begun the part before."""
+        board has begun the previous part."""
         can, session, line = self.can, self._session, self._line
         assert can is not None
         for part in encoding.encode_scan(proved.sequence, proved.times, can, self._image):
             self._number += 1
             with session.news:
-                # Wait for the ACK before: the board can hold only one waiting sequence.
+                # Wait for the previous ACK: the board can hold only one waiting sequence.
                 if (flight := self._flight) is not None and not session.wait(
                     lambda: not self._flight or session.fault is not None or line.is_stopped,
                     session.answer_s,
@@ -447,7 +447,7 @@ class LinkDriver(Driver):
             protocol.CAPABILITIES.unpack_from(answer.payload)
         )
         if kind >= len(protocol.OUTPUTS):
-            raise BoardError(f"the board at {name} has outputs of unknown kind {kind}: check it")
+            raise BoardError(f"the board at {name} has unknown output kind {kind}: check firmware")
         keeps = bool(able & Feature.KERNELS)
         can = Capabilities(
             electrodes=electrodes, output=protocol.OUTPUTS[kind], max_current_ma=current_ua / 1000,
@@ -516,7 +516,7 @@ class LinkDriver(Driver):
         )
 
     def _ask_report(self) -> BoardReport:
-        """Query the REPORT of the board; old and foreign packets count as refused."""
+        """Query the REPORT of the board. Old packets and packets of other sessions were refused."""
         answer = self._session.ask(MessageKind.STATUS)
         if len(answer.payload) != protocol.REPORT.size:
             raise self._malformed()
@@ -593,7 +593,7 @@ class LinkDriver(Driver):
     def _emergency(self) -> EmergencyStopError:
         return EmergencyStopError(
             f"the emergency switch of the board at {self._line.name} is open: all electrodes "
-            "are at zero; close it, then begin again"
+            "are at zero; close the switch, then start again"
         )
 
     def _refused(self, message: Message) -> None:

@@ -164,7 +164,7 @@ def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> b
 def _payload(
     sequence: ScanSequence, columns: _Columns, start: int, end: int, times: int, measure: bool
 ) -> bytes:
-    """Return the payload of slots from ``start`` to ``end``, with the recharge if it follows."""
+    """Return the payload of slots ``start`` to ``end``; the last includes the recharge phase."""
     shapes, keys, first, pairs, rows = columns
     flags = protocol.GOES_ON * (start > 0) | protocol.MORE * (end < len(keys))
     flags |= protocol.MEASURE * measure
