@@ -164,7 +164,7 @@ def test_a_link_board_is_latched(fault, start_faulty, make_limits, make_sequence
     with pytest.raises(BoardLatchedError) as refused:
         again.open()
     record = clear_latch(again.device)
-    assert f"since {record}; have it checked" in str(refused.value)
+    assert f"on {record}; have the board checked" in str(refused.value)
     assert str(found.value).startswith(f"{record.split(': ', 1)[1]}: ")
     assert find_latch(again.device) is None
     # What has failed stays at zero as long as its program runs.

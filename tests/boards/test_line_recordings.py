@@ -111,13 +111,13 @@ def test_a_link_board_cannot_be_replayed(recorded):
         session("link", port)
 
 
-def test_a_file_that_exists_and_a_board_without_a_line_are_refused(tmp_path):
+def test_a_file_that_exists_and_a_board_without_a_port_are_refused(tmp_path):
     limits = SafetyLimits.of(st.load_profile("electric-mouse"))
     path = tmp_path / "notes.txt"
     path.write_text("mine")
     with raises(BoardError, names=(str(path),)):
         make_board(f"link:/dev/x?record={path}", limits)
-    with raises(BoardError, names=("board with a line",)):
+    with raises(BoardError, names=("board with a port",)):
         make_board(f"simulated:?record={tmp_path / 'new'}", limits)
     assert path.read_text() == "mine"
     with raises(BoardError, names=("not the recording",)), replayed(path):

@@ -164,7 +164,7 @@ class LinkSession:
     def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
         """Encode the host's next packet."""
         if self.sent == LAST_NUMBER:
-            raise LineLostError(f"the session has used all {LAST_NUMBER} packet numbers")
+            raise LineLostError(f"the session is over after {LAST_NUMBER} packets")
         self.sent += 1
         if kind in protocol.ANSWERS:
             self._asked[self.sent] = protocol.ANSWERS[kind]
