@@ -166,7 +166,7 @@ class Board:
         """Connect to the device and set all electrodes to zero.
 
         From the start of this call, ``smarttouch stop`` stops a board that a finger may be on.
-        Opening waits up to a second if earlier sequences have used up the net charge per second.
+        Opening waits up to a second if earlier sequences used up the net charge limit of a second.
 
         Raises
         ------
@@ -215,8 +215,8 @@ class Board:
             electrodes = self._limits.electrodes
             if not isinstance(can, Capabilities) or can.electrodes != electrodes:
                 raise BoardError(
-                    f"{type(self.driver).__name__}.open does not return Capabilities of a board "
-                    f"of {electrodes} electrodes: use the profile of this board"
+                    f"{type(self.driver).__name__}.open did not return Capabilities with "
+                    f"{electrodes} electrodes: use the profile of this board"
                 )
             self._line.require_running()
         except BaseException:
@@ -389,7 +389,7 @@ class Board:
         raise failure
 
     def _not_sent(self, error: BoardError) -> BoardError:
-        """Return the error for an unsent sequence, after a restart of the ramp or a lost board."""
+        """Return the error to raise for an unsent sequence; restart the ramp or a lost board."""
         # If the board was stopped, raise that error instead: the stop explains any failure.
         self._line.require_running()
         if isinstance(error, SequenceLateError):

@@ -154,7 +154,7 @@ class Line:
     identity : UsbIdentity or None
         USB identity of the device, or None.
     recording : Path or None
-        File to which both directions are appended, as ``{"time_ns": …, "event": "sent", "hex":
+        File that records the bytes of the line, as ``{"time_ns": …, "event": "sent", "hex":
         "ff00"}``; events are ``opened`` (with the port's name), ``sent`` and ``received``.
     """
 
@@ -249,10 +249,10 @@ class Line:
 
     @contextlib.contextmanager
     def current(self, proved: ProvedSequence | None = None) -> Iterator[None]:
-        """Hold the lock of `Board.stop` during a block that writes to a device without a port.
-        Arguments and errors are those of `write`. At its end the sequence counts as written."""
+        """Hold the lock of `Board.stop` in a block that writes to a device without a port. At the
+        end of the block the sequence counts as written. Arguments and errors as for `write`."""
         board, begun, zeroing = self.board, False, threading.get_ident() in self._zeroing
-        # Signals are deferred for boards that a stop must reach.
+        # If a stop must reach the board, no signal may interrupt the write.
         with uninterrupted() if board.announced else contextlib.nullcontext():
             if not self._lock.acquire(timeout=BLOCKED_S if zeroing else -1):
                 raise self.lost("is blocked: check the cable")

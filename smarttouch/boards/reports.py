@@ -96,7 +96,7 @@ class BoardReport:
     is_busy: bool = False
     """Whether the board still has sequences to deliver."""
     refused_by_host: int = 0
-    """Number of board packets refused as old, of another session, or not requested."""
+    """Number of packets that the host refused as old, of another session, or not requested."""
     by: Literal["board", "host"] = "board"
     """Author of the report, board or host."""
     most_pulses: int | None = None

@@ -237,8 +237,8 @@ class ETactileKitLine:
         self, body: bytes, *, ask: bool = False, drives: ProvedSequence | None = None
     ) -> tuple[Span, Readings] | None:
         """Send commands and wait until they are executed. Return the time span and, with ``ask``,
-        earlier readings, (N,), in the board's order. After a wrong answer, resynchronize the
-        parser and return None. ``drives`` is the sequence whose pulses the commands start."""
+        the readings before them, (N,), in the board's order. After a wrong answer, resynchronize
+        the parser and return None. ``drives`` is the sequence whose pulses the commands start."""
         expected, begun_ns = 2 * self.outputs * ask + 1, self.line.now_ns()
         answer = self.line.ask(READINGS * ask + body + PING, expected, ECHO_S, drives)
         span = Span(begun_ns, self.line.now_ns())

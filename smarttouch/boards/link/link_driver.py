@@ -89,7 +89,7 @@ class LinkSession:
         self._ahead_ns: deque[int] = deque(maxlen=16)  # recent clock offsets to the board
 
     def open(self, line: Line) -> None:
-        """Start reading from a connected line."""
+        """Begin a new session on a connected line, and start to read."""
         self.line, self.now_ns, self.put = line, line.now_ns, line.write
         self._restart()
         self._closed.clear()
@@ -105,7 +105,7 @@ class LinkSession:
         return self.news.wait_for(condition, timeout_s)
 
     def close(self) -> None:
-        """End the reader."""
+        """End the thread that reads."""
         self.begun = False
         self._closed.set()
         if self._reader is not None and self._reader is not threading.current_thread():
@@ -248,12 +248,12 @@ class LinkSession:
         return taken
 
     def refuse(self) -> None:
-        """Count a refused packet; none before CAPABILITIES, as it may be of an earlier run."""
+        """Count a refused packet, except before CAPABILITIES: it may be from an earlier run."""
         self.refused += self.number > HALF
 
     def _accept_offer(self, offer: Message) -> bool:
         if offer.version != VERSION:
-            # `begin` passes this on to ``accept``, which reports the version.
+            # `begin` passes the packet to ``accept``, which reports the version.
             return not self.begun
         was_asked = self._asked.pop(offer.about, None) == offer.kind
         if offer.session & HALF != self.number & HALF or not was_asked:
@@ -275,7 +275,7 @@ class LinkSession:
 
 
 class SentPart(NamedTuple):
-    """Sent sequence, or the part of a sequence that fits a packet."""
+    """Sequence that was sent, or a part of one if the board needs parts."""
 
     number: int
     proved: ProvedSequence
@@ -325,7 +325,7 @@ class LinkDriver(Driver):
         self._give_kernels()
         self._report, self._last_report = self._ask_report(), None
         self._slots_sent = self._unsafe_refused = 0
-        # Boards count from power-on: a smaller count means that it was switched on again.
+        # A board counts from power-on: a smaller count means that it was switched on again.
         if not line.reopened or self._report.sequences < self._first.sequences:
             self._first = self._report
         assert self.can is not None
@@ -516,7 +516,7 @@ class LinkDriver(Driver):
         )
 
     def _ask_report(self) -> BoardReport:
-        """Query the REPORT of the board. Old packets and packets of other sessions were refused."""
+        """Query the REPORT of the board; its refused packets are the old and the foreign ones."""
         answer = self._session.ask(MessageKind.STATUS)
         if len(answer.payload) != protocol.REPORT.size:
             raise self._malformed()
@@ -597,7 +597,7 @@ class LinkDriver(Driver):
         )
 
     def _refused(self, message: Message) -> None:
-        """Handle a NAK."""
+        """Handle a NAK, by which the board refuses a packet."""
         session, line = self._session, self._line
         why, rule, words = _reason_of(message.payload)
         if why == Refusal.EMERGENCY:

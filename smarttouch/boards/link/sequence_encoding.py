@@ -59,7 +59,7 @@ def encode_limits(limits: SafetyLimits) -> bytes:
 
 
 class ScanPart(NamedTuple):
-    """Part of a scan, or the complete scan if it fits."""
+    """Part of a scan for one packet, or the complete scan if it fits."""
 
     payload: bytes
     first: int  # first slot of the part
@@ -137,7 +137,7 @@ def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) 
         pairs = np.array([lists.kernel, lists.amplitude], "<u2").T.tobytes()
         same = (lists.site == sequence.site) & (lists.current_ua == sequence.current_ua).all(axis=1)
         for slot, (at, until) in enumerate(itertools.pairwise(first)):
-            # Use lists only if the board, in 32 bits, computes exactly the proved currents.
+            # Send kernel lists only if the 32-bit sums of the board equal the proved currents.
             whole = until > at and max(kernel[at:until]) < image.count and until - at <= FULL
             if same[slot] and whole and sum(amplitude[at:until]) <= FULL:
                 kinds[slot] = POINTS if until - at == 1 else SUM
@@ -152,7 +152,7 @@ def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) 
 
 
 def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> bytes:
-    """Return site, source current and states of each slot."""
+    """Return site, source current and states of each slot as bytes."""
     # The gate allows only currents that fit 16 bits.
     source_ua = np.maximum(current_ua, 0).sum(axis=1)
     bits = np.stack([current_ua > 0, current_ua < 0], axis=-1).reshape(len(site), -1)
