@@ -291,9 +291,7 @@ class Hosted:
 
 @pytest.fixture
 def hosted(request, start_emulator, start_firmware, start_cortex_m3, tmp_path, monkeypatch):
-    # A watchdog does not bear a host's silence for long.
-    with prioritized():
-        starters = start_emulator, start_firmware, start_cortex_m3
-        hosted = Hosted(request.param, *starters, tmp_path, monkeypatch)
-        yield hosted
-        hosted.line.close()
+    starters = start_emulator, start_firmware, start_cortex_m3
+    hosted = Hosted(request.param, *starters, tmp_path, monkeypatch)
+    yield hosted
+    hosted.line.close()

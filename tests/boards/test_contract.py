@@ -8,7 +8,6 @@ import pytest
 
 from firmware.tests.scenes import random_table
 from smarttouch.base.errors import BoardError, BoardRestartedError
-from smarttouch.base.posix import prioritized
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Line
 from smarttouch.boards.link import Rule
@@ -126,12 +125,6 @@ class Contract(DriverContract):
             simulated_time=type(driver) is SimulatedDriver,
         )  # fmt: skip
 
-    @pytest.fixture(autouse=True)
-    def _in_time(self):
-        """Let the watchdog hear of the host, however busy the machine is."""
-        with prioritized():
-            yield
-
     def state(self):
         process = getattr(self.driver, "process", None)
         ended = process is not None and process.has_ended
@@ -159,12 +152,14 @@ class Contract(DriverContract):
         assert self.state()["slots"] < 2000
 
 
+@pytest.mark.realtime
 class TestEmulator(Contract):
     @pytest.fixture
     def url(self):
         return "emulator:"
 
 
+@pytest.mark.realtime
 class OneAgainstAll(Contract):
     output_kind = "one-against-all"
     keeps_order = False
@@ -291,6 +286,7 @@ class TestSimulated(TestMemory):
         self.assert_silent()
 
 
+@pytest.mark.realtime
 @without_repeating
 class TestFirmware(Contract):
     @pytest.fixture
@@ -301,7 +297,6 @@ class TestFirmware(Contract):
 
 
 @pytest.mark.long
-@pytest.mark.realtime
 class TestCortexM3(TestFirmware):
     @pytest.fixture
     def url(self, start_cortex_m3, tmp_path):
@@ -315,6 +310,7 @@ class TestCortexM3(TestFirmware):
         return [replace(pulse, discharge_us=None) for pulse in super().pulses()]
 
 
+@pytest.mark.realtime
 def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_sequence):
     """By a board with a ramp of its own: what the gate was made to overlook the board does not."""
     port = start_firmware(f"--books={tmp_path}")[1]

@@ -34,6 +34,8 @@ from ..support.full import WHOLE, sample
 from .conftest import FIRMWARES
 from .fresh import HANGS_S
 
+pytestmark = pytest.mark.realtime
+
 
 def once(change):
     """Return what does something to the next piece of bytes, and leaves those after it alone."""
@@ -229,7 +231,6 @@ class Weather:
         }[kind]
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("hosted", [
     "link", "link C", "kajimoto61", "etactilekit", "etactilekit newest", FIRMWARES[1],
 ], indirect=True)  # fmt: skip
