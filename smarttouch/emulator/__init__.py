@@ -1,1 +1,1 @@
-"""Emulated boards with a model of the skin, and emulated sensors, at a port."""
+"""Emulators of sensors, and of boards on a model of the skin, at a pseudo-terminal or TCP port."""

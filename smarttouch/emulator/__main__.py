@@ -1,5 +1,5 @@
-"""``python -m smarttouch.emulator URL``: like ``smarttouch devices emulate``, but for programs: it
-prints only the name of the port."""
+"""Command ``python -m smarttouch.emulator URL``, for programs that start an emulator: does the same
+as ``smarttouch devices emulate``, but prints only the name of the port."""
 
 import sys
 
@@ -8,7 +8,7 @@ from smarttouch.emulator.devices import emulate
 
 
 def main() -> None:
-    """Emulate the device of a URL until its host is gone."""
+    """Emulate the device of the URL on the command line; exit with status 2 on an error."""
     try:
         if len(sys.argv) != 2:
             raise SmartTouchError("give the URL of one device, for example link?electrodes=16")

@@ -1,4 +1,4 @@
-"""Device end of a line for emulators: a pseudo-terminal, also of a recorded device, or TCP."""
+"""Ports of emulated devices: a pseudo-terminal, a TCP port, and the replay of a recorded device."""
 
 import contextlib
 import json
@@ -18,10 +18,10 @@ from smarttouch.base.posix import pty, tty
 LARGEST_READ = 65536
 
 
-def _written(number: int, data: bytes) -> bytes:
-    """Write what fits; return the rest."""
+def _write_available(descriptor: int, data: bytes) -> bytes:
+    """Write the bytes that fit into the buffer; return the rest. Drop all bytes on an error."""
     try:
-        return data[os.write(number, data) :]
+        return data[os.write(descriptor, data) :]
     except BlockingIOError:
         return data
     except OSError:
@@ -29,7 +29,7 @@ def _written(number: int, data: bytes) -> bytes:
 
 
 class PtyLine:
-    """Pseudo-terminal as a serial port of this machine."""
+    """Pseudo-terminal, which a host on this computer opens like a serial port."""
 
     def __init__(self) -> None:
         self._master, slave = pty.openpty()
@@ -37,7 +37,7 @@ class PtyLine:
         # Raw mode: bytes must pass unchanged even before the host configures the port.
         tty.setraw(slave)
         os.set_blocking(self._master, False)
-        # Close our copy of the slave, so that the host's last close appears as a hang-up.
+        # Close the slave here: otherwise a host that closes the port would cause no hang-up.
         os.close(slave)
 
     def close(self) -> None:
@@ -47,25 +47,25 @@ class PtyLine:
             os.close(master)
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return the bytes received within the timeout, if any; None while there is no host."""
+        """Return the bytes received within the timeout, possibly none; None without a host."""
         if not select.select([self._master], [], [], timeout_s)[0]:
             return b""
         try:
             return os.read(self._master, LARGEST_READ)
         except BlockingIOError:
-            # After a hang-up the port was readable, but the host has opened it again.
+            # `select` reported a hang-up, but the host has reopened the port since.
             return b""
         except OSError:
             time.sleep(0.002)
             return None
 
     def write(self, data: bytes) -> bytes:
-        """Write what fits; return the rest."""
-        return _written(self._master, data)
+        """Write the bytes that fit into the buffer; return the rest."""
+        return _write_available(self._master, data)
 
 
 class TcpLine:
-    """TCP port of this machine, for one host at a time."""
+    """TCP port that accepts connections from this computer, one host at a time."""
 
     def __init__(self) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0), backlog=1)
@@ -73,13 +73,13 @@ class TcpLine:
         self._host: socket.socket | None = None
 
     def close(self) -> None:
-        """Close both sockets."""
+        """Close the port and the connection to the host."""
         self._listener.close()
         if self._host is not None:
             self._host.close()
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return the bytes received within the timeout, if any; None while there is no host."""
+        """Return the bytes received within the timeout, possibly none; None without a host."""
         ready = select.select([self._host or self._listener], [], [], timeout_s)[0]
         if self._host is None:
             if not ready:
@@ -98,15 +98,15 @@ class TcpLine:
         return None
 
     def write(self, data: bytes) -> bytes:
-        """Write what fits; return the rest."""
-        return b"" if self._host is None else _written(self._host.fileno(), data)
+        """Write the bytes that fit into the buffer; return the rest. Drop all without a host."""
+        return b"" if self._host is None else _write_available(self._host.fileno(), data)
 
 
 @contextlib.contextmanager
 def replayed(path: Path | str) -> Iterator[str]:
-    """Give the name of a port during a block, where the device of a recording answers as it did.
+    """Replay a recorded device during a ``with`` block, which gets the name of its port.
 
-    At its end, raises BoardError that names the first byte of the host that was not as recorded.
+    The end of the block raises BoardError with the first byte that differs from the recorded host.
     """
     with contextlib.closing(Replay(Path(path))) as replay, ThreadPoolExecutor(1) as pool:
         served = pool.submit(replay.serve)
@@ -118,21 +118,22 @@ def replayed(path: Path | str) -> Iterator[str]:
 
 
 class Replay(PtyLine):
-    """Port of a recorded device; BoardError unless ``path`` is the recording of a `Line`."""
+    """Port that replays a recorded device. Raises BoardError unless ``path`` is a recorded line."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self.ending: threading.Event = threading.Event()  # the host writes no more
+        self.ending: threading.Event = threading.Event()  # set when the host has stopped writing
         try:
             lines = map(json.loads, read_text(path, BoardError, MOST_BANK_BYTES).splitlines())
             self._events = [(line["event"], bytes.fromhex(line["hex"])) for line in lines]
         except (ValueError, KeyError, TypeError):
-            raise BoardError(f"{path} is not the recording of a line: give one") from None
+            message = f"{path} is not the recording of a line: give a file made with ?record=FILE"
+            raise BoardError(message) from None
         super().__init__()
 
     def serve(self) -> None:
-        """Answer as recorded once the host has written what was recorded before, until it closes
-        the port. Raises BoardError with the position of the first other byte."""
+        """Send each recorded answer after the host has sent the bytes recorded before it. Return
+        when the host closes the port. Raises BoardError at the first byte that differs."""
         host: Iterator[str] = iter(())
         position = 0
         for event, data in self._events:
@@ -150,17 +151,17 @@ class Replay(PtyLine):
         self._compare(position, next(host, "none"), "none")
 
     def _host_bytes(self) -> Iterator[str]:
-        """Yield "" when a host opens the port, and then its bytes until it closes the port."""
+        """Yield "" when a host opens the port, then each byte of the host in hexadecimal."""
         ending, data = False, None
         while data is None and not ending:
-            # Keep this order: what the host wrote before the end is still read.
+            # Check the event before reading: bytes that came before the event are still read.
             ending, data = self.ending.is_set(), self.read(0.001)
         yield ""
         while data or (data is not None and not ending):
             yield from (f"{byte:02x}" for byte in data)
             ending, data = self.ending.is_set(), self.read(0.001)
 
-    def _compare(self, position: int, heard: str, recorded: str) -> None:
-        if heard != recorded:
-            where = f"byte {position} from the host is {heard}, and was {recorded}"
-            raise BoardError(f"{where} in {self._path}: compare them")
+    def _compare(self, position: int, received: str, recorded: str) -> None:
+        if received != recorded:
+            where = f"byte {position} from the host is {received}, but {recorded} in {self._path}"
+            raise BoardError(f"{where}: repeat the recorded commands, or record the line again")

@@ -1,5 +1,5 @@
-"""Emulated devices by URL, as in ``smarttouch devices emulate "link?electrodes=16"``: boards,
-sensors, and the server that connects them to a line."""
+"""Emulated boards and sensors by URL, as in ``smarttouch devices emulate "link?electrodes=16"``,
+and the server that connects an emulated device to a port."""
 
 import math
 import signal
@@ -27,25 +27,25 @@ from smarttouch.emulator.link_rules import Room
 from smarttouch.emulator.skin import EmulatedFinger
 
 BOARDS = {"link": (64, 1, 4096), "kajimoto61": (61, 61, 61), "etactilekit": (32, 1, 255)}
-"""Default, smallest and largest number of electrodes of each board."""
+"""Number of electrodes of each kind of board: default, minimum and maximum."""
 SENSORS = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
-"""Default rate of each sensor, Hz."""
-COUNTS_PER_N, ZERO_COUNTS = 50_000.0, 80_000.0  # of a load cell
+"""Default number of measurements per second of each kind of sensor, Hz."""
+COUNTS_PER_N, ZERO_COUNTS = 50_000.0, 80_000.0  # scale and reading without force of a load cell
 _NOISE_COUNTS, _LARGEST_RAW = 60.0, 2**23 - 1
 _LONGEST_WAIT_S = 0.02
-_BEHIND_NS = 100_000_000  # delay after which the schedule restarts, without a burst
+_BEHIND_NS = 100_000_000  # longest delay for which a sensor makes up missed measurements
 _BLOCK, _SIDE, _PATTERN_SIDE = 4, 64, 1024
 _PATTERN_PIXELS_S = 40
-_FIRST_HOST_S = 8.0  # additional time that a server waits for the first host
+_FIRST_HOST_S = 8.0  # a server waits for its first host for this time in addition to ``linger``
 _WRITE_EVERY_NS = 50_000_000
-_FULL_WAIT_S = 0.0005  # pause before the rest of a message is written again
+_FULL_WAIT_S = 0.0005  # pause between attempts to write the rest of a message
 
 
 def emulate(url: str, advise: bool = False) -> None:
-    """Emulate the device of a URL, or of a recorded line, and print the name of its port.
+    """Emulate the device of a URL, or replay the file of a recorded line; print the port's name.
 
-    Options of the URL are those of `emulate_board` or `emulate_sensor`. With ``advise``, the
-    command that uses the port is printed, too.
+    Options of the URL are those of `emulate_board` or `emulate_sensor`. With ``advise``, print
+    instructions with the command that uses the port instead of its name.
     """
     if (recording := file_at(url)) is not None:
         with closing(Replay(recording)) as replay:
@@ -57,7 +57,7 @@ def emulate(url: str, advise: bool = False) -> None:
     address, options = read_options(device, url, SmartTouchError)
     if address.lower() != name:
         known = ", ".join(sorted(options_of(device)))
-        raise SmartTouchError(f"{url!r} has an option that {name} does not have: choose {known}")
+        raise SmartTouchError(f"{url!r} has an unknown option: the options of {name} are {known}")
     device(name, advise, **options)
 
 
@@ -73,11 +73,11 @@ def emulate_board(
     books: Path | None = None,
     linger: float = math.inf,
 ) -> None:
-    """Emulate a board on skin until Ctrl-C, or until ``linger`` seconds have passed without a host.
+    """Emulate a board on a model of the skin until Ctrl-C, or for ``linger`` s without a host.
 
-    ``output`` and ``ramp_ms``, the shortest time from zero to full intensity, are for link boards;
-    ``firmware`` is for the eTactileKit. With ``tcp``, the port is a TCP port. Each ``event`` is a
-    text as in `skin`. ``books`` is an existing folder for the delivery log.
+    ``output`` and ``ramp_ms``, the shortest time from zero to full intensity, apply to link boards
+    only, ``firmware`` to the eTactileKit only. With ``tcp``, the port is a TCP port. The module
+    `skin` describes the text of an ``event``. ``books`` is an existing folder for the delivery log.
     """
     default, least, largest = BOARDS[name]
     electrodes = default if electrodes is None else electrodes
@@ -85,7 +85,7 @@ def emulate_board(
     require_within(SmartTouchError, "ramp_ms", ramp_ms, 0, 10_000)
     kind = choice_of("output", output, OUTPUTS)
     if firmware is not None and name != "etactilekit":
-        message = f"firmware is for etactilekit, and a {name} has only one: leave it out"
+        message = f"firmware={firmware} is for etactilekit, not for {name}: leave the option out"
         raise SmartTouchError(message)
     firmware = choice_of("firmware", firmware or FIRMWARES[0], FIRMWARES)
     if books is not None and not books.is_dir():
@@ -96,7 +96,7 @@ def emulate_board(
     elif name == "etactilekit":
         device = ETactileKitFirmware(log, finger, firmware=firmware)
     else:
-        # Large enough for the kernels of all classes.
+        # Provide space for one kernel per class and electrode.
         room = Room(kernels=max(Room.kernels, len(Afferent) * electrodes))
         device = LinkFirmware(kind, log, finger, ramp_ms=ramp_ms, room=room)
     _serve(name, device, linger, advise, TcpLine if tcp else PtyLine)
@@ -109,8 +109,8 @@ def emulate_sensor(
     force: float = 0.5,
     linger: float = math.inf,
 ) -> None:
-    """Emulate a sensor, like `emulate_board`. ``rate`` is in Hz; ``force`` is the force on a load
-    cell, N."""
+    """Emulate a sensor until Ctrl-C, or for ``linger`` s without a host. ``rate`` is in Hz;
+    ``force``, N, acts on an emulated load cell."""
     rate_hz = SENSORS[name] if rate is None else rate
     require_within(SmartTouchError, "rate", rate_hz, 0.01, 2000.0)
     require_within(SmartTouchError, "force", force, -1e9, 1e9)
@@ -128,7 +128,7 @@ def _serve(
     line: type[PtyLine | TcpLine] = PtyLine,
 ) -> None:
     require_within(SmartTouchError, "linger", linger_s, 0, math.inf)
-    # Arrays are small: a second thread would only slow down the host.
+    # The arrays are small: more BLAS threads would save no time, and would slow down the host.
     with closing(line()) as opened, threadpool_limits(1):
         url = f"{name}:{opened.name}"
         use = f"live --board {url} --force fixed:0.9" if name in BOARDS else f"devices show {url}"
@@ -137,20 +137,19 @@ def _serve(
 
 
 class Server:
-    """Serves one host after another."""
+    """Server that connects the firmware of a device to one host after another."""
 
     def __init__(self, firmware: Firmware, line: PtyLine | TcpLine) -> None:
         self._firmware, self._line = firmware, line
         self._hosted = False
-        self._waiting = b""  # bytes that the line has not taken yet
+        self._waiting = b""  # bytes that the line has not accepted yet
 
-    def serve(self, linger_s: float, said: str = "") -> None:
-        """Print the port's name, or ``said``, and run until SIGTERM or until ``linger_s`` without a
-        host.
+    def serve(self, linger_s: float, instructions: str = "") -> None:
+        """Print instructions or the port's name; run until SIGTERM, or ``linger_s`` without a host.
 
-        Ctrl-C ends the device only if ``linger_s`` is infinite: otherwise it is meant for the host,
-        which stops the board and closes the port. If it is finite, SIGHUP ends the device as soon
-        as it has no host.
+        With an infinite ``linger_s``, Ctrl-C ends the device. With a finite one, Ctrl-C is meant
+        for the host, which then stops the board and closes the port; Ctrl-C ends the device only
+        without a host, and SIGHUP ends it as soon as the host has closed the port.
         """
         ended, host_ns = False, _FIRST_HOST_S * 1e9
 
@@ -165,8 +164,8 @@ class Server:
             signal.signal(number, end)
         books = self._firmware.books
         books.write()
-        # Print after setting handlers: a reader of the name may send a signal at once.
-        print(said or self._line.name, flush=True)
+        # Print only after setting the handlers: the reader of the name may send a signal.
+        print(instructions or self._line.name, flush=True)
         clock = DeviceClock(self._firmware.longest_step_ns)
         written_ns = 0
         while not ended:
@@ -186,7 +185,7 @@ class Server:
         books.write()
 
     def step(self, data: bytes | None, now_ns: int) -> None:
-        """Execute all due actions. ``data`` is from the host; None if there is no host."""
+        """Pass bytes from the host, None without a host, to the firmware; send its answers."""
         firmware, had_host = self._firmware, self._hosted
         self._hosted = data is not None
         if data is None:
@@ -198,7 +197,7 @@ class Server:
             return
         self._push()
         message = firmware.feed(data, now_ns) if data else firmware.advance(now_ns)
-        # Drop the complete message if the backlog is full.
+        # If too many bytes wait, drop the message as a whole, not a part of it.
         if len(self._waiting) < firmware.backlog:
             self._waiting += message
             self._push()
@@ -209,9 +208,9 @@ class Server:
 
 
 class SensorFirmware(Firmware):
-    """Base of sensors, which send measurements at absolute deadlines."""
+    """Base class of sensors, which send measurements at fixed times on their clock."""
 
-    # Its clock never stands still, as hosts compare it with theirs.
+    # The clock never stands still, because hosts compare it with their own.
     longest_step_ns: int = 2**63
     backlog = 1
 
@@ -242,11 +241,11 @@ class SensorFirmware(Firmware):
 
     @abstractmethod
     def packet(self, number: int, time_s: float) -> bytes:
-        """Return the next message for the line."""
+        """Return the message of measurement ``number``, ``time_s`` after the first."""
 
 
 class SensorArray(SensorFirmware):
-    """Sensor array of 64 x 64 pixels that sees random blocks move from right to left."""
+    """Sensor array of 64 x 64 pixels that sees random blocks moving from right to left."""
 
     def __init__(self, rate_hz: float) -> None:
         from smarttouch.sources.serial_array import encode_frame
@@ -264,8 +263,8 @@ class SensorArray(SensorFirmware):
 
 
 class EmulatedLoadCell(SensorFirmware):
-    """Load cell with its converter, under a constant force, N. If ``framed``, it sends packets
-    instead of lines of text."""
+    """Load cell with its A/D converter under a constant force, N. Sends lines of text like an HX711
+    sketch, or FORCE packets if ``framed``."""
 
     def __init__(self, force_n: float, framed: bool = False, rate_hz: float = 80.0) -> None:
         from smarttouch.sources.serial_array import encode_force

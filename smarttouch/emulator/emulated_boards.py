@@ -1,4 +1,4 @@
-"""Drivers of boards without hardware: emulated in this process or their own, or in memory."""
+"""Drivers without hardware: emulators in this or another process, and a store in memory."""
 
 import os
 import select
@@ -32,27 +32,27 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-_BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest pause between packets of the host
-_STEP_NS = 20_000  # time step of a wait for the sequence before
+_HEARTBEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest pause between packets of the host
+_STEP_NS = 20_000  # step by which simulated time advances while the host waits for an answer
 _LONGEST_GAP_NS = 1000 * (link_rules.KEPT_US + link_rules.SECOND_US)
-"""Longest simulated pause: after it a board remembers only its session."""
+"""Longest simulated pause. After it the ramp is at zero and the last second has no current."""
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
-"""Sequence number of each slot, (N,); width, (N,) µs; and delivered current, (N, E) µA, positive
-cathodic."""
+"""Delivered pulses: the number of the sequence, (N,), the width, (N,) µs, and the current, (N, E)
+µA, positive cathodic."""
 
 
 @dataclass
-class _KeptBooks(DeliveryLog):
-    """Delivery log that stores each pulse in memory until it is taken."""
+class _PulseLog(DeliveryLog):
+    """Delivery log that stores pulses in memory until `take` returns them."""
 
-    _kept: list[tuple[int, float, NDArray[np.int16]]] = field(default_factory=list, repr=False)
+    _pulses: list[tuple[int, float, NDArray[np.int16]]] = field(default_factory=list, repr=False)
 
     def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
-        self._kept.append((number, width_us, np.rint(current_ua).astype(np.int16)))
+        self._pulses.append((number, width_us, np.rint(current_ua).astype(np.int16)))
 
     def take(self) -> Pulses:
-        records, self._kept = self._kept, []
+        records, self._pulses = self._pulses, []
         current_ua = np.array([current for _, _, current in records], np.int16)
         return (
             np.array([number for number, _, _ in records], np.uint32),
@@ -62,13 +62,13 @@ class _KeptBooks(DeliveryLog):
 
 
 class _DirectSession(LinkSession):
-    """Session with firmware in the same thread, with a common simulated time."""
+    """Session with firmware that runs in the same thread and on the same simulated clock."""
 
     def power_up(self, firmware: LinkFirmware) -> None:
-        self._firmware, self._now_ns, self._said_ns = firmware, 0, 0
+        self._firmware, self._now_ns, self._sent_ns = firmware, 0, 0
 
     def _listen(self) -> None:
-        """Take each answer where the packet is sent."""
+        """Start no thread: `_feed` processes the answers of each packet immediately."""
         self.put, self.now_ns = self._feed, lambda: self._now_ns
 
     def now_s(self) -> float:
@@ -84,22 +84,22 @@ class _DirectSession(LinkSession):
 
     def _feed(self, packet: bytes, proved: ProvedSequence | None) -> None:
         with self.line.current(proved):
-            self._said_ns = self._now_ns
+            self._sent_ns = self._now_ns
             self.take(self._firmware.feed(packet, self._now_ns))
 
     def wait_until(self, end_ns: int) -> None:
-        """Advance the time, with heartbeats."""
-        while end_ns - self._said_ns > _BEAT_NS:
-            self._now_ns = self._said_ns + _BEAT_NS
+        """Advance the simulated time, and send the heartbeats that become due."""
+        while end_ns - self._sent_ns > _HEARTBEAT_NS:
+            self._now_ns = self._sent_ns + _HEARTBEAT_NS
             self.send(MessageKind.HEARTBEAT)
         self._now_ns = end_ns
         self.take(self._firmware.advance(end_ns))
 
 
 class SimulatedDriver(LinkDriver):
-    """Emulated ``link`` board in the same thread: ``simulated:``. Firmware, packets and session are
-    those of ``emulator:``, but time is simulated. A sequence begins at its time stamp, or at the
-    end of the one before, and is over as soon as it is computed."""
+    """Driver of a ``link`` board that is emulated in the same thread, on a simulated clock:
+    ``simulated:``. Firmware and packets are those of ``emulator:``. A sequence begins at its time
+    stamp or at the end of the previous sequence. `write` returns as soon as it has computed it."""
 
     room: Room = Room()  # capacity of the board
     _session: _DirectSession
@@ -111,8 +111,8 @@ class SimulatedDriver(LinkDriver):
         refuse_rest("simulated:", rest, BoardError)
         self.port = None
         self._session = _DirectSession(self._receive)
-        self._books = _KeptBooks(limits.electrodes)
-        self._numbers = [0]  # sequence number by packet number
+        self._books = _PulseLog(limits.electrodes)
+        self._numbers = [0]  # number of the proved sequence that each SEQUENCE packet belongs to
 
     def take_pulses(self) -> Pulses:
         """Return all pulses delivered since the last call."""
@@ -121,12 +121,12 @@ class SimulatedDriver(LinkDriver):
 
     def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
         can = super().open(line, limits)
-        # Wait until the board reports the finger's force.
+        # Wait for the first ALIVE packet, which reports the finger's force.
         self._session.wait_until(protocol.ALIVE_MS * 1_000_000)
         return can
 
     def _connect(self) -> None:
-        self._books = _KeptBooks(self._limits.electrodes)
+        self._books = _PulseLog(self._limits.electrodes)
         self._firmware = LinkFirmware(
             "weighted" if self._output is None else self._output.kind,
             self._books,
@@ -148,7 +148,7 @@ class SimulatedDriver(LinkDriver):
             try:
                 super().write(proved)
             finally:
-                # One for each part.
+                # The driver has sent one packet for each part of the scan.
                 self._numbers += [proved.number] * (self._number - before)
             session.wait_until(end_ns)
         if session.fault is not None:
@@ -157,23 +157,23 @@ class SimulatedDriver(LinkDriver):
             raise self._line.fault(self._suspicion)
 
     def _start_ns(self, stamp_ns: int) -> int:
-        """Return the start of a sequence with this time stamp."""
+        """Return the simulated time at which a sequence with this time stamp begins, ns."""
         now_ns, before_ns, self._stamp_ns = self._session.now_ns(), self._stamp_ns, stamp_ns
         if not self._number or stamp_ns < before_ns:
-            # Time stamps may start again from zero.
+            # Begin the first sequence now, also after time stamps have restarted at zero.
             self._ahead_ns = stamp_ns - now_ns
         gap_ns = stamp_ns - self._ahead_ns - now_ns
         self._ahead_ns += max(0, gap_ns - _LONGEST_GAP_NS)
         return now_ns + min(max(0, gap_ns), _LONGEST_GAP_NS)
 
     def zero(self) -> None:
-        # The lock makes a stop from another thread wait for the end of the sequence.
+        # `current` locks the line: a stop from another thread waits for the end of `write`.
         with self._line.current():
             super().zero()
 
 
 class MemoryDriver(Driver):
-    """Driver without a device, which stores all ``sequences`` since it was opened: ``memory:``."""
+    """Driver without a device: ``memory:``. It stores the sequences since `open` in a list."""
 
     def __init__(
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
@@ -196,18 +196,18 @@ class MemoryDriver(Driver):
             self.sequences.append(proved.sequence)
 
     def zero(self) -> None:
-        """Do nothing, as there is no current."""
+        """Do nothing: no current flows."""
 
 
-_STARTS_WITHIN_S = 30.0  # longest start of the process, on a busy computer
+_STARTS_WITHIN_S = 30.0  # time limit for the start of the process, which busy computers delay
 _ENDS_WITHIN_S = 3.0
-_FIRST_HOST_S = 5.0  # shorter than the wait of the process for its first host
-_SPEAKS_WITHIN_S = 5.0  # host timeout: the process may wait for a processor
+_FIRST_HOST_S = 5.0  # a process without a host is usable for this time; 3 s later it ends
+_ANSWERS_WITHIN_S = 5.0  # longest silence of the board: a busy computer delays its process
 
 
 class EmulatorDriver(LinkDriver):
-    """Driver of a board emulated in its own process: ``emulator:``. ``books`` is an existing folder
-    for the delivery log. ``events`` of the finger are texts as in `skin`."""
+    """Driver of a ``link`` board that is emulated in its own process: ``emulator:``. ``books`` is
+    an existing folder for the delivery log. The module `skin` describes the texts of ``events``."""
 
     def __init__(
         self,
@@ -220,7 +220,7 @@ class EmulatorDriver(LinkDriver):
         refuse_rest("emulator:", rest, BoardError)
         if not HAS_POSIX:
             raise BoardError(
-                "emulator: needs a pseudo-terminal of Linux or macOS: use simulated: here"
+                "emulator: needs a pseudo-terminal, as on Linux and macOS: use simulated: instead"
             )
         super().__init__("emulator", limits, output)
         self.port = None
@@ -231,7 +231,7 @@ class EmulatorDriver(LinkDriver):
         url += "" if books is None else f"&books={quote(str(books))}"
         self._url = url
         self.process: EmulatorProcess = EmulatorProcess(url)
-        self._session.answer_s = self._session.silence_s = _SPEAKS_WITHIN_S
+        self._session.answer_s = self._session.silence_s = _ANSWERS_WITHIN_S
 
     def _connect(self) -> None:
         if not (self._line.reopened or self.process.is_usable):
@@ -246,9 +246,9 @@ class EmulatorDriver(LinkDriver):
 
 
 class EmulatorProcess:
-    """Process that emulates the board of a URL, see `devices`, until its host is gone.
+    """Process that emulates the board of a URL of the module `devices` until its host has gone.
 
-    It starts at once, so that it is ready when its port is needed, and ends with this object.
+    It starts immediately, because the start takes time, and ends when this object is deleted.
     """
 
     def __init__(self, url: str) -> None:
@@ -256,7 +256,7 @@ class EmulatorProcess:
         # A new session, so that Ctrl-C in the terminal does not reach the board.
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
         self._begun_s, self._port = time.monotonic(), ""
-        # Ends the process, whose host is gone.
+        # Ends the process when it is called, and when this object is deleted.
         self.end: finalize[..., Any] = finalize(self, _end, self._process, os.getpid())
 
     @property
@@ -265,19 +265,19 @@ class EmulatorProcess:
 
     @property
     def is_usable(self) -> bool:
-        """Whether it has not ended, and does not end soon because no host has come."""
+        """Whether the process is running, and will not end soon for lack of a first host."""
         waits = self._port or time.monotonic() < self._begun_s + _FIRST_HOST_S
         return self.end.alive and not self.has_ended and bool(waits)
 
     def port(self, line: Line) -> str:
-        """Wait until the process has started, and return the name of its port; a stop ends the
-        wait."""
+        """Return the name of the port, after the process has started. Raises if ``line`` is stopped
+        before."""
         if self.has_ended and self._port:
-            raise BoardError("the emulator's process has ended")
+            raise BoardError("the process of the emulator has ended: open the board again")
         try:
             self._port = self._port or self._printed_port(line)
         except BaseException:
-            # No host will connect.
+            # End the process, because no host will connect to it.
             self.end()
             raise
         return self._port
@@ -293,12 +293,13 @@ class EmulatorProcess:
                     "computer is too busy, try again"
                 )
         if not (printed := output.readline()):
-            raise BoardError(f"the emulator did not start (exit {self._process.wait()})")
+            status = self._process.wait()
+            raise BoardError(f"the emulator exited with status {status}: see its error above")
         return printed.decode().strip()
 
 
 def _end(process: "subprocess.Popen[bytes]", owner: int) -> None:
-    # A forked process leaves it to its parent.
+    # Only the owner may end the emulator, not a process that was forked from the owner.
     if owner == os.getpid():
         with process:
             process.send_signal(signal.SIGHUP)

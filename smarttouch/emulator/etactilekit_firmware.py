@@ -1,14 +1,14 @@
-"""Emulated firmware of the eTactileKit, exact in bytes and scans, including its faults.
+"""Emulated firmware of the eTactileKit, with the bytes, scans and faults of the real firmware.
 
-It checks nothing: a wrong byte is a wrong current. A scan is fixed at its start; later commands
-apply to the next one. A pulse of width 0 still takes the time of switching on and off. Reported
-voltages are those of the slots so far, also in an unfinished scan.
+The firmware checks nothing: a wrong byte causes a wrong current. It fixes the settings of a scan at
+its start; later commands apply to the next scan. A pulse of width 0 still lasts as long as
+switching the source on and off. The answer to READINGS has the last voltage of each electrode.
 
-The firmware of commit 71adee2 does not parse during a scan. If a scan takes longer than its period,
-the next follows at once, and the parser never runs again. The firmware repeats its last pattern
-forever. The newest firmware parses on a second core, and sets all amplitudes to zero half a second
-after the host is gone. On USB the host is gone if it closed the port; on this pseudo-terminal, if
-no byte arrives.
+The firmware of commit 71adee2 does not parse commands during a scan. If a scan takes longer than
+its period, the next scan follows immediately, and the parser never runs again. Without a host, this
+firmware repeats its last pattern forever. The newest firmware parses commands on a second core, and
+sets all amplitudes to zero half a second after it has lost the host: on the real board when the
+host closes the USB port, in this emulator after the last byte.
 
 Two assumptions are not in the published source: outputs are grounded between pulses if the
 discharge time is above 0, else unconnected; and outputs beyond the electrode count are unconnected.
@@ -32,10 +32,10 @@ FIRMWARES = ("71adee2", "newest")
 PATTERN, READINGS, COUNT, MODE, POLARITY, WIDTH = 0xFE, 0xFF, 0xFC, 0xFB, 0xFD, 0xFA
 SENSE_HEIGHT, SENSE_WIDTH, DISCHARGE, RATE, CHIPS, ECHO = 0xF9, 0xF8, 0xF7, 0xF6, 0xF5, 0xF4
 BIPHASIC, SENSE_ONLY = 1, 2
-SHORTEST_US = 6.6  # time to switch the source on and off
+SHORTEST_US = 6.6  # duration of the shortest pulse: switching the source on and off
 _SIZES = dict.fromkeys(range(RATE, PATTERN), 1) | {WIDTH: 2, RATE: 2}
 """Number of bytes after each op-code that sets a value."""
-_Pulse = tuple[int, float, tuple[int, ...]]  # height in counts, width µs, signs (+ cathodic)
+_Pulse = tuple[int, float, tuple[int, ...]]  # amplitude in counts, width µs, sign of each phase
 
 
 @dataclass
@@ -43,17 +43,17 @@ class _Scan:
     """Settings of a scan, fixed at its start."""
 
     pulses: list[_Pulse]  # one for each electrode
-    starts_ns: list[int]  # start of each slot, and the end
+    starts_ns: list[int]  # start of each slot, and end of the scan
     discharge_us: int
     done: int = 0
     pulsed: bool = False
 
 
 class ETactileKitFirmware(KitFirmware):
-    """Firmware of the kit with its skin. The delivery log lists all outputs. ``firmware`` is one of
-    `FIRMWARES`; an infinite ``dummy_ohm`` means no load in parallel with the skin."""
+    """Firmware of the kit on a model of the skin. The delivery log has all outputs of the kit.
+    ``firmware`` is one of `FIRMWARES`; ``dummy_ohm`` is a load in parallel with the skin."""
 
-    longest_step_ns = 400_000_000  # hardware continues its scans while this process waits
+    longest_step_ns = 400_000_000  # scans continue while this process is delayed for up to 0.4 s
     codes = range(ECHO, 256)
 
     def __init__(
@@ -165,7 +165,7 @@ class ETactileKitFirmware(KitFirmware):
         return [(height, width_us, phases) for height in heights]
 
     def _silent(self) -> bool:
-        """Return whether a scan that starts now has no pulses."""
+        """Return whether a scan that starts now would have no pulses."""
         return not any(height for height, _, _ in self._pulses())
 
     def _settle(self, reason: str) -> None:
@@ -193,7 +193,7 @@ class ETactileKitFirmware(KitFirmware):
             for _, width_us, phases in pulses
         ]
         if not any(height for height, _, _ in pulses) and not any(self._readings):
-            # Skip scans without pulses in one step.
+            # Skip all due scans in one step, because they have no pulses.
             each_ns = max(self._period_ns(), sum(lengths_ns))
             self._next_ns += (now_ns - self._next_ns) // each_ns * each_ns
         starts_ns = [self._next_ns]

@@ -18,8 +18,8 @@ from smarttouch.emulator.skin import Delivered, EmulatedFinger, SkinCircuit
 STATE_FILE = "state.json"
 DELIVERED_FILE = "delivered.bin"
 SAFE_PULSE, SAFE_RECHARGE = (5000, 200, 0.5), (500, 20_000, 2.0)
-"""Largest safe current, width and charge of a pulse, µA, µs and µC, whatever the firmware
-allows."""
+"""Largest safe current, µA, duration, µs, and charge, µC, of a pulse and of a recharge phase, which
+do not depend on the limits of the firmware."""
 RECHARGE = 0xFFFF  # slot number and site that mark a recharge phase
 _ROUNDING = 1 + 1e-6
 _FLOWS_UA = 0.5
@@ -27,7 +27,7 @@ _FLOWS_UA = 0.5
 
 @dataclass
 class DeliveryLog:
-    """Counters and maxima of delivered pulses; with a folder they are written to disk, too."""
+    """Counters and maxima of delivered pulses, also written to ``folder`` if it is given."""
 
     electrodes: int
     folder: Path | None = None
@@ -35,22 +35,22 @@ class DeliveryLog:
     slots: int = 0
     pulses: int = 0
     violations: int = 0  # number of sequences that the firmware refused
-    unsafe: int = 0  # number of delivered pulses above `SAFE`
+    unsafe: int = 0  # number of delivered pulses above `SAFE_PULSE` or `SAFE_RECHARGE`
     framing_errors: int = 0
-    old_packets: int = 0  # packets refused as old by a link board
-    foreign_packets: int = 0  # packets refused because they are from another session
+    old_packets: int = 0  # number of packets that a link board refused as old
+    foreign_packets: int = 0  # number of packets refused because they are from another session
     max_current_ma: float = 0.0
     max_charge_uc: float = 0.0
     max_net_charge_uc: float = 0.0  # largest charge left on an electrode after a slot
     max_volts: float = 0.0  # largest voltage between the poles of a source
-    recharges: int = 0  # number of recharge phases, which other counters and maxima leave out
+    recharges: int = 0  # number of recharge phases, which do not count as slots or pulses
     passed_uc: NDArray[np.float64] = field(init=False)
     """Net charge driven through each electrode by sources, (E,), positive cathodic: pulses and
     recharge phases, without discharge by shorting."""
     state: str = "shorted"
     reason: str = "start"
-    zero_after_ms: float = 0.0  # from the host's last sign of life to the last shutdown
-    stood_still_ms: float = 0.0  # time for which the board's clock stood still with its process
+    zero_after_ms: float = 0.0  # time from the host's last sign of life to the last zero
+    stood_still_ms: float = 0.0  # total time for which `DeviceClock` stood still
     _delivered: bytearray = field(default_factory=bytearray, repr=False)
 
     def __post_init__(self) -> None:
@@ -69,9 +69,9 @@ class DeliveryLog:
         more: bool = False,
     ) -> None:
         """Record one pulse of a slot. ``residual_uc``, (E,), is the charge left on each electrode
-        after the discharge. The start is on the board's clock. ``more`` means that another pulse of
-        the slot follows. The slot number `RECHARGE` marks a recharge phase, or its part up to an
-        interruption."""
+        after the discharge; ``time_us`` is the start of the pulse on the board's clock; ``more``
+        means that another pulse of the slot follows. With the slot number `RECHARGE`, record a
+        recharge phase, or the part before its interruption."""
         recharges = slot == RECHARGE
         magnitude_ua = np.abs(delivered.current_ua)
         peak_ua = float(magnitude_ua.max(initial=0))
@@ -101,7 +101,7 @@ class DeliveryLog:
             self._delivered += np.array([record], _record(self.electrodes)).tobytes()
 
     def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
-        """Store a pulse; does nothing unless overridden."""
+        """Store a pulse in memory; this base class stores nothing."""
 
     def write(self) -> None:
         if self.folder is None:
@@ -118,7 +118,7 @@ class DeliveryLog:
 
 
 def read_state(folder: Path) -> dict[str, object]:
-    """Read the last state that an emulator wrote."""
+    """Read the counters that an emulator has last written to its folder."""
     state: dict[str, object] = json.loads((folder / STATE_FILE).read_text(encoding="utf-8"))
     return state
 
@@ -127,8 +127,8 @@ def read_slots(folder: Path, recharges: bool = False) -> NDArray[Any]:
     """Read all delivered pulses, or all recharge phases, as a structured array (N,).
 
     Fields are ``number``, ``slot``, ``site``, ``time_us`` and, for each electrode, (E,):
-    ``current_ua`` (mean over the pulse), ``charge_uc`` of the pulse, ``volts`` (against the tissue
-    at its end) and ``residual_uc`` (charge left after the discharge). All are positive cathodic.
+    ``current_ua`` (mean over the pulse), ``charge_uc`` (of the pulse), ``volts`` (against tissue at
+    the end of the pulse), ``residual_uc`` (left after the discharge). All are positive cathodic.
     """
     kind = _record(int(str(read_state(folder)["electrodes"])))
     data = (folder / DELIVERED_FILE).read_bytes()
@@ -149,15 +149,15 @@ def _record(electrodes: int) -> np.dtype[np.void]:
 
 
 class Firmware(ABC):
-    """Firmware of a device, without its own clock."""
+    """Base class of emulated firmware; the caller passes the time."""
 
     books: DeliveryLog
-    longest_step_ns = 10_000_000  # longer delays of the process stop the device's clock
-    backlog = 65536  # number of bytes waiting for the host above which messages are dropped
+    longest_step_ns = 10_000_000  # see `DeviceClock`
+    backlog = 65536  # messages are dropped while this number of bytes waits for the host
 
     @property
     def busy(self) -> bool:
-        """Whether something is due soon."""
+        """Whether the server must call often, because the firmware has actions due soon."""
         return False
 
     def wait_s(self, clock: "DeviceClock") -> float:
@@ -177,18 +177,18 @@ class Firmware(ABC):
         self.advance(now_ns)
 
     def hang_up(self, now_ns: int) -> None:
-        """Handle a closed line; some devices do not detect it."""
+        """Handle the host's closing of the line; by default the device does not notice it."""
         self.idle(now_ns)
 
     def zero(self, reason: str, now_ns: int) -> None:
-        """Lose power."""
+        """Short all electrodes, as after a loss of power; log the reason."""
         self.books.state, self.books.reason = "shorted", reason
 
 
 class DeviceClock:
-    """Clock of a device, which starts at 0. It stands still while the process is delayed for longer
-    than ``longest_step_ns``: hardware is never delayed, so a delay must not count as a silent host
-    or as delivered pulses."""
+    """Clock of an emulated device, ns from 0. If the process is delayed, the clock advances by at
+    most ``longest_step_ns`` and then stands still: hardware has no such delays, so they must not
+    cause a host timeout or lengthen pulses."""
 
     def __init__(self, longest_step_ns: int = Firmware.longest_step_ns) -> None:
         self._longest_step_ns = longest_step_ns
@@ -202,15 +202,15 @@ class DeviceClock:
         return now - self._begun - self.stood_still_ns
 
 
-VOLTS_PER_COUNT = 0.0893  # scale of the eTactileKit's converter, assumed for both kits
+VOLTS_PER_COUNT = 0.0893  # scale of the eTactileKit's A/D converter, assumed for both kits
 LARGEST_READING = 4095
 
 
 class KitFirmware(Firmware):
-    """Base of kits: parser of commands, and one current source with the skin. A shunt is a load in
-    parallel with the skin."""
+    """Base class of the firmware of kits: a parser of commands, and one current source on a model
+    of the skin. ``shunt_ohm`` is a load in parallel with the skin."""
 
-    codes: Collection[int]  # first bytes of commands; other bytes are skipped
+    codes: Collection[int]  # first byte of each command; the parser skips other bytes
 
     def __init__(
         self,
@@ -242,7 +242,7 @@ class KitFirmware(Firmware):
         return command
 
     def zero(self, reason: str, now_ns: int) -> None:
-        """Reset everything, as after a loss of power."""
+        """Reset the firmware, as after a loss of power."""
         super().zero(reason, now_ns)
         self._received.clear()
         self.books.zero_after_ms = (now_ns - self._fed_ns) / 1e6
@@ -261,12 +261,12 @@ class KitFirmware(Firmware):
         grounded: bool = True,
         more: bool = False,
     ) -> int:
-        """Deliver a pulse, ground all outputs during the rest after it, and record both.
+        """Deliver a pulse, then ground all outputs for ``rest_us``; record the pulse in the log.
 
-        Return the converter's reading at the end of the pulse. Current is positive cathodic and
-        flows between one electrode and all others of the first ``among``. Before the pulse, outputs
-        were ``grounded`` or unconnected. ``more`` means that another pulse of the slot follows. The
-        slot number defaults to the electrode.
+        Return the reading of the A/D converter at the end of the pulse. The current, positive
+        cathodic, flows between ``electrode`` and all others of the first ``among`` outputs.
+        ``grounded`` says whether outputs were grounded before the pulse, or unconnected. ``more``
+        means that another pulse of the slot follows. ``slot`` defaults to the electrode.
         """
         self._finger.at(start_ns / 1e9, self._skin)
         if start_ns > self._rested_ns:

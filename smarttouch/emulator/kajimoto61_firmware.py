@@ -1,10 +1,10 @@
-"""Emulated firmware of the 61-electrode ESP32 kit, exact in bytes, including its faults.
+"""Emulated firmware of the 61-electrode ESP32 kit, with the bytes and faults of the real firmware.
 
-It waits forever for the rest of a short packet, checks nothing, and its readings wrap. From
-power-on until the first STIMULATE, it tests its source without driving an electrode, and answers
-MEASURE. The last value of the test stays in the converter until the end of the first pulse or
-MEASURE, also after a packet of zeros. So the electrode that pulses first briefly carries the
-current of the test, until its own value is loaded.
+The firmware checks nothing, waits forever for the rest of an incomplete packet, and its readings
+overflow. From power-on until the first STIMULATE, it tests its current source without driving an
+electrode, and answers MEASURE. The last value of the test stays in the D/A converter until the
+first pulse, even after a STIMULATE of zeros. If this is a pulse of STIMULATE, it therefore begins
+with the current of the test, until the converter has loaded its own value.
 """
 
 from collections import deque
@@ -19,18 +19,18 @@ PACKET = 1 + ELECTRODES
 LARGEST = 200
 UA_PER_STEP = 16 * 10_000 / 4096  # a step is 16 DAC counts; 4096 counts are nominally 10 mA
 WIDTH_US, GROUNDED_US, SWITCHING_US = 50, 150, 8
-TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3  # current left by the self-test; loading time
+TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3  # last current of the self-test; time to load another
 MEASURE_UA, MEASURE_US = 2500, 25
-MEASURE_NS, WIRE_NS = 1_400_000, 670_000  # from MEASURE to the reply; of the reply on the wire
+MEASURE_NS, WIRE_NS = 1_400_000, 670_000  # time from MEASURE to the reply; duration of the reply
 BUFFER = 384  # bytes buffered during a scan: 128 in the chip, 256 in its driver (an estimate)
 
 
 @dataclass
 class _Scan:
-    """Scan of all electrodes one after another, with currents in µA, positive cathodic."""
+    """Scan of the electrodes, one after another."""
 
     number: int
-    pulses: list[tuple[int, float]]
+    pulses: list[tuple[int, float]]  # electrode, and current in µA, positive cathodic
     start_ns: int
     measures: bool = False
     readings: list[int] = field(default_factory=list)
@@ -47,7 +47,7 @@ class _Scan:
 
 
 class Kajimoto61Firmware(KitFirmware):
-    """Firmware of the kit with its skin."""
+    """Firmware of the kit on a model of the skin."""
 
     codes = (STIMULATE, MEASURE)
 
@@ -143,7 +143,7 @@ class Kajimoto61Firmware(KitFirmware):
             self.books.sequences += 1
 
     def _connect_early(self, scan: _Scan, electrode: int, start_ns: int) -> int:
-        """Deliver the current that the converter still holds; return its duration, ns."""
+        """Deliver the current of the self-test, still in the converter; return its duration, ns."""
         self._pulse(
             scan.number, electrode, -self._loaded_ua, LOADING_US, start_ns, among=ELECTRODES,
             rest_us=0, grounded=False, more=True,

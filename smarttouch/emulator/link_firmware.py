@@ -1,6 +1,6 @@
-"""Emulated firmware of the ``link`` board: a state machine without its own clock.
+"""Emulated firmware of the ``link`` board: a state machine to which the caller passes the time.
 
-It checks each sequence by its own rules and its own code, independently of the host.
+It checks sequences with the rules and the code of `link_rules`, independently of the host.
 """
 
 from dataclasses import dataclass, field
@@ -28,14 +28,14 @@ NAME = "SmartTouch board emulator 1"
 
 
 @dataclass
-class _AtHand:
-    """Sequence that executes or waits."""
+class _PendingSequence:
+    """Accepted sequence that is executing or waiting for its start."""
 
     number: int
     sequence: ReceivedSequence
     load: Load  # load of one pass
-    left: int  # number of remaining scans, including the current one
-    came_ns: int
+    left: int  # number of remaining passes, including the executing one
+    came_ns: int  # time of acceptance
     starts_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     over_ns: int = 0  # end of the last slot or recharge phase of this pass
     end_ns: int = 0
@@ -44,7 +44,7 @@ class _AtHand:
     recharge_ns: int | None = None  # start of the recharge phase, until it is recorded
 
     def begin(self, start_ns: int, scan_end_ns: int) -> None:
-        """Begin a pass. A part that continues a scan ends when the scan ends."""
+        """Begin a pass at ``start_ns``. If it continues a scan, it ends at ``scan_end_ns``."""
         sequence = self.sequence
         lengths = sequence.width_us + sequence.discharge_us
         self.done = 0
@@ -59,24 +59,22 @@ class _AtHand:
 
 
 class LinkFirmware(Firmware):
-    """Firmware of the board with its skin.
-
-    ``switch_open`` is whether the emergency switch is open.
-    """
+    """Firmware of the board on a model of the skin; set ``switch_open`` to open the emergency
+    switch."""
 
     def __init__(
         self,
         output: Output,
         books: DeliveryLog,
-        finger: EmulatedFinger | None = None,  # finger with its events
+        finger: EmulatedFinger | None = None,
         session: BoardSession | None = None,
-        # shortest time from zero to full intensity; 0 in tests with their own time
+        # shortest time from zero to full intensity; 0 turns off the ramp in tests
         ramp_ms: int = RAMP_MS,
         room: Room | None = None,
     ) -> None:
         self._electrodes = electrodes = books.electrodes
         self._output, self.books = output, books
-        # Checks of a sequence take longer with more electrodes; do not count them as delays.
+        # Checking a sequence takes longer with more electrodes, and must not stop the clock.
         self.longest_step_ns += 10_000 * electrodes
         self._room = room = room or Room()
         self._rules = LinkRules(electrodes, output, room, ramp_ms)
@@ -86,11 +84,11 @@ class LinkFirmware(Firmware):
         self._finger = finger or EmulatedFinger(electrodes)
         self._deframer = Deframer(room.packet_bytes)
         self._session = session or BoardSession()
-        self._running: _AtHand | None = None
-        self._waiting: _AtHand | None = None
+        self._running: _PendingSequence | None = None
+        self._waiting: _PendingSequence | None = None
         self._scan_end_ns = 0
         self._last, self._last_start_ns = (-1, False), 0
-        """Number of the last accepted sequence, whether it has begun, and its start."""
+        """Number of the last accepted sequence, whether it has begun, and its start, ns."""
         self._refusing: Refusal | None = Refusal.STOPPED
         self._received_ns = 0  # time of the host's last sign of life
         self._packet_ns = 0  # time of the first byte of the current packet
@@ -105,7 +103,7 @@ class LinkFirmware(Firmware):
         return self._running is not None
 
     @property
-    def at_hand(self) -> int:
+    def pending(self) -> int:
         """Number of executing and waiting sequences."""
         return (self._running is not None) + (self._waiting is not None)
 
@@ -123,7 +121,7 @@ class LinkFirmware(Firmware):
         if deframer.errors > garbled and self._greeted:
             self._refuse(0, Refusal.GARBLED)
         head = deframer.head(protocol.WHOLE_HEAD_BYTES)
-        if head is not None and session.promises(head, self._packet_ns, now_ns):
+        if head is not None and session.is_sign_of_life(head, self._packet_ns, now_ns):
             self._received_ns = now_ns
         books.framing_errors = deframer.errors
         books.old_packets, books.foreign_packets = session.old, session.foreign
@@ -146,7 +144,7 @@ class LinkFirmware(Firmware):
             running = self._running
             recharge_ns = None if running is None else running.recharge_ns
             if recharge_ns is not None and recharge_ns <= self._executed_ns:
-                # Skip whatever was due in between; the recharge phase has lasted until now.
+                # The recharge phase has carried current until now; skip all other actions.
                 self._executed_ns = now_ns
             self._end(Refusal.EMERGENCY, "emergency", now_ns)
             self._refuse(0, Refusal.EMERGENCY)
@@ -165,7 +163,7 @@ class LinkFirmware(Firmware):
             self._answers.append(alive)
 
     def hang_up(self, now_ns: int) -> None:
-        """End the session after the host closed the line."""
+        """End the session, because the host has closed the line."""
         self.advance(now_ns)
         if self._refusing is not Refusal.STOPPED:
             self._end(Refusal.STOPPED, "host closed", now_ns)
@@ -195,14 +193,14 @@ class LinkFirmware(Firmware):
             table.done = max(table.done, due)
             end_ns, waiting = table.end_ns, self._waiting
             if waiting is not None and waiting.sequence.goes_on:
-                # The scan's next part waits, so it begins after these slots.
+                # The next part of the scan begins after these slots, before the period ends.
                 end_ns = max(table.over_ns, waiting.came_ns)
             if until_ns < end_ns:
                 return
             self._recharge(table, until_ns)
             self._end_scan(table, end_ns)
 
-    def _end_scan(self, table: _AtHand, end_ns: int) -> None:
+    def _end_scan(self, table: _PendingSequence, end_ns: int) -> None:
         if table.sequence.measure:
             volts = link_packets.encode_volts(np.array(table.volts))
             self._say(MessageKind.VOLTAGES, table.number, volts)
@@ -219,18 +217,18 @@ class LinkFirmware(Firmware):
         else:
             self._begin(waiting, end_ns)
 
-    def _begin_pass(self, table: _AtHand, start_ns: int) -> None:
+    def _begin_pass(self, table: _PendingSequence, start_ns: int) -> None:
         table.begin(start_ns, self._scan_end_ns)
         sequence = table.sequence
         self._second.begin(start_ns // 1000, sequence.period_us, table.load, sequence.goes_on)
 
-    def _begin(self, table: _AtHand, start_ns: int) -> None:
+    def _begin(self, table: _PendingSequence, start_ns: int) -> None:
         self._begin_pass(table, start_ns)
         self._running = table
         self._last, self._last_start_ns = (table.number, True), start_ns
         self._acknowledge()
 
-    def _deliver(self, table: _AtHand, slot: int) -> None:
+    def _deliver(self, table: _PendingSequence, slot: int) -> None:
         sequence, start_ns = table.sequence, int(table.starts_ns[slot])
         self._finger.at(start_ns / 1e9, self._skin)
         self._skin.short(max(0, start_ns - self._shorted_since_ns) / 1000)
@@ -249,8 +247,8 @@ class LinkFirmware(Firmware):
             self._skin.residual_uc, start_ns // 1000,
         )  # fmt: skip
 
-    def _recharge(self, table: _AtHand, until_ns: int) -> None:
-        """Execute the recharge phase, or its part up to an interruption."""
+    def _recharge(self, table: _PendingSequence, until_ns: int) -> None:
+        """Execute the recharge phase; if ``until_ns`` interrupts it, only the part before."""
         sequence, start_ns = table.sequence, table.recharge_ns
         if sequence.recharge_ua is None or start_ns is None or until_ns <= start_ns:
             return
@@ -271,10 +269,10 @@ class LinkFirmware(Firmware):
     def _answer(self, message: Message, now_ns: int) -> None:
         session, kind = self._session, message.kind
         if kind == MessageKind.HELLO:
-            if offer := session.offer(message, self._capabilities()):
-                self._answers.append(offer)
+            if answer := session.answer_hello(message, self._capabilities()):
+                self._answers.append(answer)
             else:
-                self._turn_away(Refusal.FOREIGN)
+                self._refuse_packet(Refusal.FOREIGN)
             return
         if kind == MessageKind.BEGIN and session.would_begin(message):
             if session.state:
@@ -288,7 +286,7 @@ class LinkFirmware(Firmware):
             self._refusing, self._last, self._greeted = None, (-1, False), True
             self._rules.begin_session()
         elif refusal := session.take(message, self._packet_ns):
-            self._turn_away(refusal)
+            self._refuse_packet(refusal)
             return
         self._received_ns = now_ns
         match kind:
@@ -311,7 +309,7 @@ class LinkFirmware(Firmware):
     def _take_kernels(self, message: Message) -> None:
         size, keep = protocol.KERNELS.size, self._rules.keep
         # Do not change kernels while a sequence uses them.
-        if len(message.payload) >= size and not self.at_hand and self._refusing is None:
+        if len(message.payload) >= size and not self.pending and self._refusing is None:
             identity, whole_size, offset = protocol.KERNELS.unpack_from(message.payload)
             keep.take(identity, whole_size, offset, message.payload[size:])
         is_complete, proof = keep.weights is not None, keep.proof(self._session.number)
@@ -328,10 +326,10 @@ class LinkFirmware(Firmware):
                 self._acknowledge()
         elif number < last:
             self._session.old += 1
-            self._turn_away(Refusal.OLD)
+            self._refuse_packet(Refusal.OLD)
         elif self._waiting is not None:
             self._refuse(number, Refusal.BUSY)
-        elif table := self._judged(number, message.payload, now_ns):
+        elif table := self._check(number, message.payload, now_ns):
             self._last = (number, False)
             if self._running is None:
                 self._begin(table, now_ns)
@@ -341,8 +339,8 @@ class LinkFirmware(Firmware):
         else:
             self.books.violations += 1
 
-    def _judged(self, number: int, payload: bytes, now_ns: int) -> _AtHand | None:
-        """Decode and check a sequence; return None and send NAK if it is refused."""
+    def _check(self, number: int, payload: bytes, now_ns: int) -> _PendingSequence | None:
+        """Decode and check a sequence. If it breaks a rule, send a NAK and return None."""
         try:
             sequence = decode_lists(payload, self._electrodes, self._output != "weighted")
         except ValueError:
@@ -350,22 +348,22 @@ class LinkFirmware(Firmware):
             return None
         start_ns, running = now_ns, self._running
         if running is not None:
-            # A later part of a scan begins after the slots of the part before.
+            # A part that continues a scan begins after the slots of the previous part.
             start_ns = max(now_ns, running.over_ns if sequence.goes_on else running.end_ns)
-        # While the board's clock stood still, time passed for the skin.
-        rise_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
-        broken = self._rules.judge(sequence, start_ns // 1000, rise_us)
+        # Limit the ramp by real time, which the board's clock lags when it has stood still.
+        real_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
+        broken = self._rules.check(sequence, start_ns // 1000, real_us)
         if isinstance(broken, Load):
-            return _AtHand(number, sequence, broken, sequence.times, now_ns)
+            return _PendingSequence(number, sequence, broken, sequence.times, now_ns)
         self._say(MessageKind.NAK, number, broken.nak())
         return None
 
     def _acknowledge(self) -> None:
-        """Report the start of the last sequence."""
+        """Send an ACK with the start of the last sequence."""
         began = protocol.ACK.pack(self._last_start_ns // 1000)
         self._say(MessageKind.ACK, self._last[0], began)
 
-    def _turn_away(self, reason: Refusal) -> None:
+    def _refuse_packet(self, reason: Refusal) -> None:
         if self._session.live:
             self._refuse(0, reason)
 
@@ -391,7 +389,7 @@ class LinkFirmware(Firmware):
         return protocol.REPORT.pack(
             books.sequences, books.slots, books.pulses, books.violations,
             round(1000 * books.max_current_ma), round(1e6 * books.max_charge_uc),
-            round(1e6 * books.max_net_charge_uc), self.at_hand, self._session.old,
+            round(1e6 * books.max_net_charge_uc), self.pending, self._session.old,
             self._session.foreign, second.most_net_pc, -(-second.session_us // 10**6),
             -(-int(second.session[1].max()) // 10**6),
         )  # fmt: skip

@@ -1,6 +1,6 @@
-"""Packets of ``link`` as read by an emulated board: sessions, kernels and sequences.
+"""Sessions, kernels and sequences of the ``link`` protocol in an emulated board.
 
-This code is independent of the host's, so that it checks what the host computes.
+The code is independent of the host's, so that an error in either shows up as a difference.
 """
 
 import struct
@@ -15,55 +15,54 @@ from smarttouch.base.wire.framing import HEAD, WirePacket
 from smarttouch.boards import link as protocol
 from smarttouch.boards.link import HALF, LATE_MS, SUM, VERSION, Message, MessageKind, Refusal
 
-MOST_HOSTS = 8  # number of hosts for which HELLO packets are remembered
+MOST_HOSTS = 8  # number of hosts whose HELLO packets are remembered
 _MS = 1_000_000
 _PAIR = struct.Struct("<HH")
 _NOTHING = bytes(16)
 
 
 def decode_head(head: bytes) -> Message:
-    """Decode the first `WHOLE_HEAD_BYTES` of a message, before the CRC is known."""
+    """Decode the first `WHOLE_HEAD_BYTES` of a message, before its CRC has arrived."""
     version, kind, number = HEAD.unpack_from(head)
     return protocol.decode(WirePacket(kind, number, head[HEAD.size :], version))
 
 
 def encode_volts(volts: NDArray[np.float64]) -> bytes:
-    """Return the payload of VOLTAGES: the source's voltage in each slot, (S,) V."""
+    """Return the payload of VOLTAGES from the voltage of the source in each slot, (S,) V."""
     return np.clip(np.rint(volts * protocol.VOLT), 0, 0xFFFF).astype("<u2", copy=False).tobytes()
 
 
 class BoardSession:
-    """The current session, and the challenge for the next. ``draw`` returns 32 random bits that are
+    """Session in progress, and challenge for the next one. ``draw`` returns 32 random bits that are
     not all 0."""
 
     def __init__(self, draw: Callable[[], int] = protocol.draw_half) -> None:
-        self.state = 0  # state of the board, in each of its packets
-        # Session number, 0 before the first; packets refused as old; packets of other sessions.
-        self.number: int = 0
-        self.old: int = 0
-        self.foreign: int = 0
+        self.state = 0  # state of the board, which it sends in each packet
+        self.number: int = 0  # 0 before the first session
+        self.old: int = 0  # number of packets refused as old
+        self.foreign: int = 0  # number of packets refused because they are from another session
         self.live: bool = False  # whether the session is open
         self._draw = draw
         self._challenge = draw()
         self._taken = self._said = 0
         self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // protocol.ALIVE_MS)
         """Time, ns, and number of each of the last ALIVE packets."""
-        self._hellos: dict[int, tuple[int, int]] = {}  # last number and count, by host
+        self._hellos: dict[int, tuple[int, int]] = {}  # by host: last packet number, and count
 
     def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
-        """Return the board's next packet of the session."""
+        """Return the next packet of the board in the session."""
         self._said += 1
         message = Message(kind, self._said, self.number, self._taken, about, payload, self.state)
         return protocol.encode(message)
 
     def encode_alive(self, payload: bytes, now_ns: int) -> bytes:
-        """Return the next ALIVE packet; its echo proves when the host received it."""
+        """Return the next ALIVE packet; store its time to find packets that confirm it late."""
         packet = self.encode(MessageKind.ALIVE, 0, payload)
         self._alive.append((now_ns, self._said))
         return packet
 
-    def offer(self, hello: Message, capabilities: bytes) -> bytes | None:
-        """Return the answer to HELLO, or None if it is refused."""
+    def answer_hello(self, hello: Message, capabilities: bytes) -> bytes | None:
+        """Return the answer to a HELLO, or None if the HELLO is refused."""
         half = hello.session & HALF
         if self.live:
             self.foreign += 1
@@ -74,7 +73,7 @@ class BoardSession:
                 self.old += 1
                 return None
             if not last and len(self._hellos) == MOST_HOSTS:
-                self._count_strangers()
+                self._count_foreign_hellos()
             self._hellos[half] = hello.number, count + 1
         session = self._challenge << 32 | half
         kind = MessageKind.CAPABILITIES
@@ -91,43 +90,43 @@ class BoardSession:
         return protocol.encode(nak)
 
     def begin(self, begin: Message) -> None:
-        """Open the session of a BEGIN that was allowed."""
+        """Open the session of a BEGIN for which `would_begin` is true."""
         half = begin.session & HALF
         self._hellos.pop(half, None)
-        self._count_strangers()
+        self._count_foreign_hellos()
         self._hellos[half] = begin.number, 0
         self._challenge = self._draw()
         self.number, self.live = begin.session, True
         self._taken, self._said = begin.number, 0
         self._alive.clear()
 
-    def _count_strangers(self) -> None:
+    def _count_foreign_hellos(self) -> None:
         self.foreign += sum(count for _, count in self._hellos.values())
         self._hellos.clear()
 
     def take(self, message: Message, began_ns: int) -> Refusal | None:
-        """Accept a packet of the session, or return the reason to refuse it. ``began_ns`` is the
-        time of its first byte."""
-        refusal = self._judge(message, began_ns)
+        """Accept a packet, or return the reason to refuse it. ``began_ns`` is the time of its first
+        byte."""
+        refusal = self._refusal_of(message, began_ns)
         self.old += refusal is Refusal.OLD
         self.foreign += refusal is Refusal.FOREIGN
         if refusal is None:
             self._taken = message.number
         return refusal
 
-    def promises(self, head: bytes, began_ns: int, now_ns: int) -> bool:
-        """Return whether an incomplete packet counts as a sign of life, as long packets do."""
+    def is_sign_of_life(self, head: bytes, began_ns: int, now_ns: int) -> bool:
+        """Return whether an incomplete packet is valid so far, and of a kind that can be long."""
         message, early = decode_head(head), now_ns - began_ns <= protocol.LONGEST_PACKET_MS * _MS
-        fresh = self._judge(message, began_ns) is None
+        fresh = self._refusal_of(message, began_ns) is None
         return message.kind in (MessageKind.SEQUENCE, MessageKind.KERNELS) and early and fresh
 
-    def _judge(self, message: Message, began_ns: int) -> Refusal | None:
+    def _refusal_of(self, message: Message, began_ns: int) -> Refusal | None:
         if message.version != VERSION or not self.number or message.session != self.number:
             return Refusal.FOREIGN
-        # ALIVE packets whose confirmation comes too late.
-        faded = (number for sent_ns, number in self._alive if sent_ns < began_ns - LATE_MS * _MS)
+        # ALIVE packets that were sent too long ago: confirming only these is not enough.
+        stale = (number for sent_ns, number in self._alive if sent_ns < began_ns - LATE_MS * _MS)
         # STOP is never late: it must work even if the host receives nothing.
-        late = message.kind != MessageKind.STOP and message.heard <= max(faded, default=-1)
+        late = message.kind != MessageKind.STOP and message.heard <= max(stale, default=-1)
         return Refusal.OLD if late or message.number <= self._taken else None
 
 
@@ -135,7 +134,7 @@ class BoardSession:
 class ReceivedSequence:
     """Received sequence of S slots, with P pairs of kernel and amplitude.
 
-    ``recharge_ua`` is (E,), or None without a recharge phase.
+    ``recharge_ua`` has shape (E,); it is None without a recharge phase.
     """
 
     period_us: int
@@ -143,17 +142,17 @@ class ReceivedSequence:
     intensity: int
     measure: bool
     more: bool  # whether the scan continues in the next sequence
-    goes_on: bool  # whether it continues the scan of the sequence before
+    goes_on: bool  # whether this sequence continues the scan of the previous one
     recharge_us: int
     recharge_ua: NDArray[np.int64] | None
-    kind: NDArray[np.int64]  # (S,): 0 point, 1 sum, 2 currents, 3 states
+    kind: NDArray[np.int64]  # (S,): type of slot: 0 point, 1 sum, 2 currents, 3 states
     site: NDArray[np.int64]
     source_ua: NDArray[np.int64]  # (S,): current of the source, on switched boards
     width_us: NDArray[np.int64]
     discharge_us: NDArray[np.int64]
     rows: NDArray[np.int64]
-    """(S, E): currents, positive cathodic, 0 in slots of kernels until kernels are filled in. On
-    switched boards states: 1 cathode, −1 anode, 0 insulated, 2 invalid."""
+    """(S, E): currents, µA, positive cathodic; 0 in slots of kernels until `LinkRules` adds them.
+    On switched boards, states: 1 cathode, −1 anode, 0 insulated, 2 invalid."""
     pairs: NDArray[np.int64]  # (P, 3): slot, kernel and amplitude, sorted by slot
 
     @property
@@ -162,7 +161,7 @@ class ReceivedSequence:
 
 
 class _Reader:
-    """Reads a payload from its start. Raises ValueError if it is too short."""
+    """Reader that takes values from the start of a payload. Raises ValueError at its end."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self.at = data, 0
@@ -178,7 +177,7 @@ class _Reader:
 
 
 def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSequence:
-    """Decode a sequence. Raises ValueError unless the payload is exactly one sequence."""
+    """Decode the payload of a SEQUENCE. Raises ValueError unless it is exactly one sequence."""
     rest = _Reader(payload)
     first = rest.take(protocol.SEQUENCE.size)
     period_us, times, intensity, flags, count = protocol.SEQUENCE.unpack(first)
@@ -230,14 +229,14 @@ def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8
     return np.asarray(np.array([0, 1, -1, 2], np.int8)[codes])
 
 
-def rounded(every: NDArray[np.int64]) -> NDArray[np.int64]:
+def rounded(sums: NDArray[np.int64]) -> NDArray[np.int64]:
     """Round sums of weights times amplitudes, (…, E), to currents in µA that sum to zero."""
-    # Divide by 131,072 and round.
-    return np.diff((np.cumsum(every, axis=-1) + 65_536) >> 17, axis=-1, prepend=0)
+    # Scale partial sums by 2**-17 and round them: their differences sum to zero, as the weights do.
+    return np.diff((np.cumsum(sums, axis=-1) + 65_536) >> 17, axis=-1, prepend=0)
 
 
 class KernelStore:
-    """Kernels stored on a board, also between sessions."""
+    """Kernels that a board stores, even after the end of a session."""
 
     def __init__(self, electrodes: int, room: int, most: int) -> None:
         self._electrodes, self._room, self._most = electrodes, room, most
@@ -246,7 +245,7 @@ class KernelStore:
     def _forget(self) -> None:
         self._data, self._size = bytearray(), 0
         self.identity: bytes = _NOTHING  # hash of the stored kernels; zeros if there are none
-        self.weights: NDArray[np.int16] | None = None  # (K, E), once complete
+        self.weights: NDArray[np.int16] | None = None  # (K, E); None until all are received
         self.site: NDArray[np.uint16] = np.zeros(0, np.uint16)  # (K,)
 
     @property
@@ -259,7 +258,7 @@ class KernelStore:
         return len(self.site)
 
     def take(self, identity: bytes, size: int, offset: int, data: bytes) -> None:
-        """Store a part of the kernels; drop it if it does not continue the part before."""
+        """Store a piece of the kernels; ignore it if it does not continue the stored bytes."""
         if (identity, size) != (self.identity, self._size):
             self._forget()
             if size > self._room:

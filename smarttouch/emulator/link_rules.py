@@ -1,5 +1,5 @@
-"""Rules of the ``link`` board in integers, in the order of the protocol's page: limits, loads, the
-last second, the session, the ramp, and the check of a sequence.
+"""Rules of the ``link`` board, computed in integers: limits, loads, the last second, the session,
+the ramp, and the check of a sequence, in the order of ``firmware/PROTOCOL.md``.
 
 Times are on the board's clock, in µs; charges are in pC.
 """
@@ -30,19 +30,19 @@ BURST_US = 40_000
 MIN_RAMP_MS, MAX_RAMP_MS = 500, 10_000
 MAX_SESSION_S, MAX_SESSION_UC = 3600, 1_800_000
 MAX_RECHARGE_UA = 500
-"""Limit of a recharge phase, a tenth of the strongest pulse: the board does not know thresholds."""
+"""A tenth of the limit of a pulse, because the board does not know the detection thresholds."""
 MAX_RECHARGE_US = 20_000
 MAX_RECHARGE_PC = 2_000_000
-STRENGTH = 4  # largest ratio of a pulse's strength to its charge relative to a full pulse
+STRENGTH = 4  # largest ratio of strength to charge, see `SessionLimits.strength`
 BUCKET_US = 50_000
-BUCKETS = 20  # complete buckets before the current one: 1 s to 1.05 s
+BUCKETS = 20  # number of complete buckets in the window of the last second, which is 1 to 1.05 s
 SECOND_US = 1_000_000
 MOST_CHARGE_PC = 500_000_000
 MOST_NET_PC = 50_000_000
 RAMP_MS = 500  # shortest time from zero to full intensity
-CATCH_UP_US = 150_000  # time by which a ramp may be ahead, as packets may be late
+CATCH_UP_US = 150_000  # time by which intensity may be ahead of the ramp, as packets may be late
 KEPT_US = 15_000_000  # time without current after which the ramp restarts
-_LEEWAY = 2  # tolerance for the rounding of an intensity, in 1/65,535
+_LEEWAY = 2  # tolerance for the rounding of an intensity, in units of 1/65,535
 
 
 class BrokenRule(NamedTuple):
@@ -63,8 +63,8 @@ class BrokenRule(NamedTuple):
 def first_above(
     rule: Rule, value: NDArray[np.int64] | int, allowed: Any, slot: int = NOTHING
 ) -> BrokenRule | None:
-    """Return a violation if a value exceeds the allowed one, else None; for (E,) the first
-    electrode that does."""
+    """Return a violation if a value exceeds the allowed one, else None. For values (E,), name the
+    first such electrode."""
     values, allowed_each = np.broadcast_arrays(np.atleast_1d(value), allowed)
     if not len(over := np.flatnonzero(values > allowed_each)):
         return None
@@ -74,18 +74,18 @@ def first_above(
 
 
 class Load(NamedTuple):
-    """Load of one pass of a sequence, or of the parts of a scan."""
+    """Load of one pass of a sequence, or of all parts of a scan."""
 
     each: NDArray[np.int64]
-    """(3, E): number of perceptible pulses, absolute charge, pC, and net charge, pC, positive
-    cathodic. Charges include the recharge phase."""
-    peak_ua: int  # largest current and largest charge of a pulse; 0 without current
-    peak_pc: int
-    busy_us: int  # duration of slots and recharge phase; below, duration of their current
-    pulses_us: int
+    """(3, E): of each electrode the number of perceptible pulses, absolute charge, pC, and net
+    charge, pC, positive cathodic. Charges include the recharge phase."""
+    peak_ua: int  # largest current of a pulse
+    peak_pc: int  # largest charge of a pulse
+    busy_us: int  # duration of all slots and the recharge phase
+    pulses_us: int  # duration of all pulses and the recharge phase, without discharge
 
     def after(self, before: "Load") -> "Load":
-        """Return the sum of both loads, one after the other."""
+        """Return the load of both: this load follows ``before``."""
         return Load(
             before.each + self.each, max(before.peak_ua, self.peak_ua),
             max(before.peak_pc, self.peak_pc), before.busy_us + self.busy_us,
@@ -95,7 +95,7 @@ class Load(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SessionLimits:
-    """Limits of a session: the stricter ones of host and board."""
+    """Limits of a session: for each, the stricter value of host and board."""
 
     period_us: int
     total_ua: int
@@ -134,8 +134,8 @@ class SessionLimits:
         )  # fmt: skip
 
     def strength(self, intensity: int, peak_pc: int) -> int:
-        """Return the strength, relative to `FULL`, of a sequence with this intensity and this
-        largest charge of a pulse."""
+        """Return the strength, 0 to `FULL`, of a sequence: its intensity, but at least the charge
+        ``peak_pc`` relative to that of a full pulse, and at most `STRENGTH` times this ratio."""
         share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
         return min(FULL, max(share, min(intensity, STRENGTH * share)))
 
@@ -149,7 +149,7 @@ class LastSecond:
     """Loads of the last second and of the session."""
 
     def __init__(self, electrodes: int) -> None:
-        # Bucket at the end of each pass, with its load, (3, E); and the executing pass.
+        # Bucket in which each pass ended, and its load, (3, E); then the load of the executing pass
         self._over: deque[tuple[int, NDArray[np.int64]]] = deque()
         self._running: NDArray[np.int64] | None = None
         self._starts_us: deque[int] = deque()
@@ -158,12 +158,13 @@ class LastSecond:
         self.begin_session()
 
     def begin_session(self) -> None:
-        """Reset the load of the session; the last second stays."""
+        """Reset the load of the session, but not that of the last second."""
         self.session_us: int = 0
         self.session: NDArray[np.int64] = self._none  # (3, E): sum of the loads of the session
 
     def begin(self, start_us: int, period_us: int, load: Load, goes_on: bool) -> None:
-        """Add a pass that begins. Start and period of a scan are those of its first part."""
+        """Add a pass that begins at ``start_us``. Only the first part of a scan adds a start and a
+        period, not a part that goes on."""
         if not goes_on:
             self._starts_us.append(start_us)
             self.session_us += period_us * (load.busy_us > 0)
@@ -185,17 +186,17 @@ class LastSecond:
             self._running = None
 
     def _in_window(self, start_us: int) -> NDArray[np.int64]:
-        """Return the loads within the last second, (N, 3, E), the latest first."""
+        """Return the loads of passes in the last second, (N, 3, E), the latest first."""
         first = start_us // BUCKET_US - BUCKETS
         loads = [] if self._running is None else [self._running]
         loads += [load for bucket, load in reversed(self._over) if bucket >= first]
         return np.array(loads, np.int64).reshape(-1, *self._none.shape)
 
-    def complaint(
+    def find_violation(
         self, start_us: int, sequence: ReceivedSequence, load: Load, limits: SessionLimits
     ) -> BrokenRule | None:
-        """Return the first violation by a sequence that begins at ``start_us``, together with
-        earlier passes, or None."""
+        """Return the first limit of a second or of the session that a sequence from ``start_us`` on
+        and earlier passes exceed together, or None."""
         period_us, times, broken = sequence.period_us, sequence.times, None
         starts_us = range(start_us, start_us + min(times * period_us, SECOND_US), period_us)
         if load.busy_us:
@@ -237,9 +238,9 @@ def _most_net(window: NDArray[np.int64], net_pc: NDArray[np.int64]) -> NDArray[n
 
 
 class Ramp:
-    """Ramp: intensity rises only while current flows, and no higher than its strength.
+    """Limit of the intensity, which rises while current flows, up to the strength of the sequence.
 
-    ``ramp_ms`` is the shortest time from zero to full; 0 in tests with their own time.
+    ``ramp_ms`` is the shortest time from zero to full intensity; 0 turns off the ramp in tests.
     """
 
     def __init__(self, ramp_ms: int = RAMP_MS) -> None:
@@ -247,12 +248,12 @@ class Ramp:
         self.restart(ramp_ms)
 
     def restart(self, ramp_ms: int) -> None:
-        """Restart at zero, with at least this ramp."""
+        """Restart at zero, with the longer of ``ramp_ms`` and the board's own ramp."""
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
         self._level = self._strength = self._since_us = self._span_us = 0
 
-    def _risen(self, now_us: int) -> tuple[int, int]:
-        """Return the level, and the time of current since the last sequence, µs."""
+    def _reached(self, now_us: int) -> tuple[int, int]:
+        """Return the intensity reached, and the time with current since the last sequence, µs."""
         on_us = max(0, min(now_us - self._since_us, self._span_us))
         if now_us - self._since_us - on_us > KEPT_US:
             return 0, on_us
@@ -264,13 +265,13 @@ class Ramp:
         if not self._ramp_us:
             return FULL
         ahead = CATCH_UP_US * FULL // self._ramp_us
-        return min(FULL, self._risen(now_us)[0] + ahead + _LEEWAY)
+        return min(FULL, self._reached(now_us)[0] + ahead + _LEEWAY)
 
     def note(self, intensity: int, strength: int, now_us: int, span_us: int) -> None:
-        """Record a sequence that begins at a time; ``span_us`` is the duration of its current."""
+        """Record a sequence from ``now_us`` on; ``span_us`` is its duration, 0 without current."""
         if not self._ramp_us:
             return
-        risen, on_us = self._risen(now_us)
+        risen, on_us = self._reached(now_us)
         if span_us:
             self._level, self._since_us = min(intensity, risen), now_us
             self._strength = strength
@@ -281,7 +282,7 @@ class Ramp:
 
 @dataclass(frozen=True)
 class Room:
-    """Capacity of a board; a small board receives a scan in parts."""
+    """Capacity of a board. The host divides scans into parts that fit."""
 
     slots: int = MAX_SLOTS
     packet_bytes: int = 1 << 20
@@ -294,13 +295,13 @@ class _Scan:
     """Accepted parts of a scan; the rules treat all parts as one sequence."""
 
     last: ReceivedSequence  # latest part
-    rise_us: int  # planned start, in time of the skin
-    rise: Ramp  # ramp before the scan
+    real_us: int  # planned start in real time, see `LinkRules.check`
+    ramp: Ramp  # state of the ramp before the scan
     load: Load
 
 
 class LinkRules:
-    """State of a board for checking sequences, and the checks."""
+    """Checks of sequences, with the limits, kernels and past loads that they need."""
 
     def __init__(self, electrodes: int, output: Output, room: Room, ramp_ms: int) -> None:
         self._none = Load(np.zeros((3, electrodes), np.int64), 0, 0, 0, 0)
@@ -317,17 +318,17 @@ class LinkRules:
         self.second.begin_session()
 
     def take_limits(self, payload: bytes) -> None:
-        """Set the limits of a session; only the first valid ones count."""
+        """Set the limits of a session, unless it already has valid limits."""
         if self.limits is None:
             self.limits = SessionLimits.of(payload, self._none.each.shape[1], self._output)
             self._ramp.restart(0 if self.limits is None else self.limits.ramp_ms)
 
-    def judge(self, sequence: ReceivedSequence, start_us: int, rise_us: int) -> BrokenRule | Load:
-        """Fill in currents of kernels; return the first violation, or the load of an accepted pass.
-        The pass begins at ``start_us``, in time of the skin at ``rise_us``."""
+    def check(self, sequence: ReceivedSequence, start_us: int, real_us: int) -> BrokenRule | Load:
+        """Compute the currents of kernels; return the first violation, or the load of a pass. The
+        first pass begins at ``start_us``, or ``real_us`` by a clock that never stands still."""
         scan, limits = self._scan, self.limits
         if not sequence.goes_on:
-            scan = _Scan(sequence, rise_us, copy(self._ramp), self._none)
+            scan = _Scan(sequence, real_us, copy(self._ramp), self._none)
         if limits is None:
             return BrokenRule(Rule.LIMITS)
         if scan is None or (sequence.goes_on and not scan.last.more):
@@ -348,13 +349,13 @@ class LinkRules:
             or first_above(Rule.MEAN, total_load.each[1], MAX_MEAN_UA * burst_us)
             or first_above(Rule.FELT, total_load.each[0], MAX_PULSES_HZ * burst_us // 10**6)
             or limits.intensity(sequence.intensity, load)
-            or first_above(Rule.RISE, strength, scan.rise.allowed(scan.rise_us))
-            or self.second.complaint(start_us, sequence, load, limits)
+            or first_above(Rule.RISE, strength, scan.ramp.allowed(scan.real_us))
+            or self.second.find_violation(start_us, sequence, load, limits)
         ):
             return broken
-        scan.load, scan.last, self._scan, self._ramp = total_load, sequence, scan, copy(scan.rise)
+        scan.load, scan.last, self._scan, self._ramp = total_load, sequence, scan, copy(scan.ramp)
         span_us = sequence.times * sequence.period_us if total_load.peak_pc else 0
-        self._ramp.note(sequence.intensity, strength, scan.rise_us, span_us)
+        self._ramp.note(sequence.intensity, strength, scan.real_us, span_us)
         return load
 
     def _times(
@@ -385,19 +386,19 @@ class LinkRules:
         missing: NDArray[np.int64],
         amplitude: NDArray[np.int64],
     ) -> BrokenRule | None:
-        """Return the first violation in the first slot that has one."""
+        """Return the first violation in the first slot with a violation, or None."""
         kind, switched = sequence.kind, self._output != "weighted"
         if switched:
             odd = (Rule.STATES, self._no_circuit(sequence.rows), 0 * kind, 0)
             total_ua = sequence.source_ua
-            # With a single source, each electrode may be the last one in contact with the skin.
+            # An electrode carries all current of a single source if the others lose contact.
             through_ua = np.where(each_ua > 0, total_ua[:, None], 0)
         else:
             sums_ua = sequence.rows.sum(axis=1)
             odd = (Rule.BALANCE, sums_ua != 0, sums_ua, 0)
             total_ua, through_ua = each_ua.sum(axis=1) // 2, each_ua
         charge_pc = through_ua * sequence.width_us[:, None]
-        # Rule, mask of violations, values, (S,) or (S, E), and allowed values.
+        # Of each rule: mask of violations and values, (S,) or (S, E), and allowed values
         rules: list[tuple[Rule, NDArray[np.bool_], NDArray[np.int64], Any]] = [
             (Rule.KIND, (kind == STATES) != switched, kind, 0),
             (Rule.KERNEL, missing >= 0, missing, self.keep.count),
@@ -422,8 +423,8 @@ class LinkRules:
         return first_above(rule, values[slot], allowed, slot)
 
     def _fill_in(self, sequence: ReceivedSequence) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Fill in currents of kernels. Return for each slot, (S,), the first kernel that is not
-        stored, or -1, and the sum of amplitudes."""
+        """Compute currents and sites of kernel slots. For each slot, (S,), return the first kernel
+        that is not stored, or -1, and the sum of amplitudes."""
         keep, (slot, kernel, amplitude) = self.keep, sequence.pairs.T
         missing, sums = np.full((2, sequence.slots), [[-1], [0]], np.int64)
         np.add.at(sums, slot, amplitude)
@@ -445,8 +446,8 @@ class LinkRules:
         return np.asarray(odd)
 
     def _currents(self, sequence: ReceivedSequence) -> NDArray[np.int64]:
-        """Return the currents, (S, E) µA. A single source is divided equally and rounded away from
-        0."""
+        """Return the currents, (S, E) µA. That of a single source is divided equally among the
+        electrodes of a pole, and rounded away from 0."""
         rows, source_ua = sequence.rows, sequence.source_ua
         if self._output == "weighted":
             return rows
@@ -458,7 +459,7 @@ class LinkRules:
     def _recharged(
         self, sequence: ReceivedSequence, limits: SessionLimits, load: Load
     ) -> BrokenRule | None:
-        """Return the first violation by the recharge phase of a sequence with this load."""
+        """Return the first violation by the recharge phase, or None; ``load`` is that of a pass."""
         width_us, recharge_ua = sequence.recharge_us, sequence.recharge_ua
         if recharge_ua is None:
             return None
@@ -481,7 +482,7 @@ class LinkRules:
 def _load_of(
     sequence: ReceivedSequence, signed_ua: NDArray[np.int64], limits: SessionLimits
 ) -> Load:
-    """Return the load of one pass with these currents, (S, E)."""
+    """Return the load of one pass with the currents ``signed_ua``, (S, E)."""
     width_us, each_ua = sequence.width_us, np.abs(signed_ua)
     strongest_ua, pulses_us = each_ua.max(axis=1, initial=0), int(width_us.sum())
     felt = ((each_ua >= limits.felt_ua) & (each_ua > 0)).sum(axis=0)

@@ -1,20 +1,20 @@
 """Electrical circuit of electrodes on skin, and an emulated finger with events.
 
-Each electrode has a series resistance R_s and the horny layer, a resistance R_p in parallel with a
-capacitance C_p. All electrodes meet in one node, the tissue::
+Each electrode has a series resistance R_s and the stratum corneum, a resistance R_p in parallel
+with a capacitance C_p. All electrodes meet in one node, the tissue::
 
     output ── R_s ──┬─ R_p ─┬── tissue
                     └─ C_p ─┘
 
-Currents and voltages are positive cathodic, each electrode against the tissue.
+Currents and voltages are positive cathodic; the voltage of an electrode is against the tissue.
 
-An event of the finger is a text with a time in seconds::
+An event of the finger is a text that begins with a time in seconds::
 
     2.0 lift            the finger leaves all electrodes
     3.0 touch           the finger touches them again
     0 force 0.6         the finger presses with 0.6 N while it touches
     5 open 7            electrode 7 is cut off
-    5 short 7           electrode 7 has a few ohm to the tissue
+    5 short 7           electrode 7 is connected to the tissue by a few ohm
     6 emergency         the emergency switch is opened
     7 release           the emergency switch is closed
 """
@@ -36,26 +36,26 @@ SERIES_OHM = 2.0e3
 S/m; the rest is our estimate for tissue and contact."""
 PARALLEL_OHM = 50e3
 CAPACITANCE_F = 1.0e-9
-"""Horny layer under a 1 mm disc on a moist fingertip. Our estimate: 2.4 mA for 200 µs then needs
-about 125 V, as supplied by such displays."""
+"""Stratum corneum under a 1 mm disc on a moist fingertip (our estimate). With it, 2.4 mA for 200 µs
+need about 125 V, which electrotactile displays supply."""
 SPREAD = 0.15  # largest relative difference between electrodes of an array (our estimate)
 COMPLIANCE_V = 300.0
 _CONSTANT = (1, 1.0, 1.0)
 _SHARED = (6, 1.3, 0.6)
 _CAPPED = (24, 1.15, 1.0)
-"""Number of steps of a pulse, their growth ratio, and the point within a step at which the current
-is fitted. Results are within 3 % of a fine solution; at the compliance limit the end of the step is
-fitted."""
+"""Arguments of `SkinCircuit._find_steps`: number of steps of a pulse, growth ratio of their length,
+and point within a step at which the current is exact: 1 is its end. Results are within 3 % of a
+solution with fine steps."""
 _SHORT_STEPS, _SHORT_GROWTH = 3, 3.0
-"""Steps of a short circuit: errors are below 1 % of the initial charge if electrodes differ by 15
-%."""
+"""Number of steps of a short circuit, and growth ratio of their length. Errors are below 1 % of the
+initial charge if electrodes differ by up to 15 %."""
 _LONGEST_SHORT_US = 2000.0
 _MOST_WIDTHS = 64
 
 
 @dataclass(frozen=True, eq=False)
 class Delivered:
-    """Result of one pulse."""
+    """Delivered current and charge of one pulse, and voltages at its end."""
 
     current_ua: NDArray[np.float64]  # (E,): mean over the pulse, positive cathodic
     charge_pc: NDArray[np.float64]
@@ -65,9 +65,9 @@ class Delivered:
 
 
 class _Steps(NamedTuple):
-    """Pulse divided into K steps of constant current, (K,) and (K, E) each; the last has length 0.
-    A step changes the capacitor's voltage v to v·decay + I·rise. The current is fitted at a point
-    late in the step, where an electrode has v·late + I/admittance."""
+    """Pulse divided into K steps of constant current I. Arrays are (K,) or (K, E); the last step
+    has length 0. A step changes the voltage v of a capacitor to v·decay + I·rise_ohm. At the point
+    at which I is exact, the electrode has the voltage v·late + I/admittance."""
 
     length_s: NDArray[np.float64]
     decay: NDArray[np.float64]
@@ -77,8 +77,8 @@ class _Steps(NamedTuple):
 
 
 class SkinCircuit:
-    """Voltages of E electrodes, updated pulse by pulse. Impedances differ between electrodes by at
-    most ``spread`` (relative), in a fixed pattern."""
+    """Circuit of E electrodes, whose voltages are updated pulse by pulse. Impedances differ from
+    their mean by at most ``spread`` (relative), in a fixed random pattern."""
 
     def __init__(
         self, electrodes: int, *, compliance_v: float = COMPLIANCE_V, spread: float = SPREAD
@@ -91,7 +91,7 @@ class SkinCircuit:
         self.scale(np.ones(electrodes), np.ones(electrodes))
 
     def scale(self, resistance: NDArray[np.float64], capacitance: NDArray[np.float64]) -> None:
-        """Scale impedances by factors, (E,), from their initial values; voltages stay."""
+        """Set impedances to the initial values times factors, (E,); keep all voltages."""
         series, parallel, capacity = self._healthy
         self.series_ohm: NDArray[np.float64] = series * resistance
         self.parallel_ohm: NDArray[np.float64] = parallel * resistance
@@ -105,14 +105,14 @@ class SkinCircuit:
         return np.asarray(1e6 * self.capacitance_f * self._volts)
 
     def pulse(self, current_ua: NDArray[np.float64], width_us: float) -> Delivered:
-        """Drive each electrode by its own source, (E,), for a time. Currents are reduced at the
-        compliance limit. If the totals of the poles differ, both carry the smaller one."""
+        """Drive each electrode by its own source, (E,), for ``width_us``. The compliance voltage
+        limits currents. If the totals of the poles differ, the larger one is scaled down."""
         asked_ua = _balance(np.asarray(current_ua, np.float64))
         amps = asked_ua * 1e-6
         steps = self._steps_of(width_us, *_CONSTANT)
         end = self._volts * steps.decay[0] + amps * steps.rise_ohm[0]
         drop = amps * self.series_ohm
-        # The voltage of a constant current is monotonic, so check the start and the end.
+        # At constant current voltages are monotonic, so check only the start and the end.
         need = max(np.abs(drop + self._volts).max(), np.abs(drop + end).max())
         if need <= self.compliance_v:
             self._volts = end
@@ -142,16 +142,16 @@ class SkinCircuit:
         width_us: float,
         shunt_ohm: float = np.inf,
     ) -> Delivered:
-        """Drive one source for a time; its current divides by the impedances of each pole.
-        ``state``, (E,), is 1 for cathode, −1 for anode, 0 for insulated. No current flows if a pole
-        is missing. A shunt is in parallel with the skin."""
+        """Drive one source for ``width_us``. Its current divides among the electrodes of each pole
+        by their impedances. ``state``, (E,), is 1 for cathode, −1 for anode, 0 for insulated; no
+        current flows without both poles. ``shunt_ohm`` is a load in parallel with the skin."""
         poles = np.array([state > 0, state < 0])
         if not poles.any(axis=1).all() or not width_us:
             self.idle(width_us)
             nothing = np.zeros(self.electrodes)
             return Delivered(nothing, nothing, self._volts, 0.0)
         steps = self._steps_of(width_us, *_SHARED)
-        # For each step: the current into an electrode by its pole's voltage, and by its own.
+        # For each step: current of an electrode per volt of its pole, and per volt of its capacitor
         weights = steps.admittance[:, None, :] * poles
         pulls = weights * steps.late[:, None, :]
         lifts = weights * steps.rise_ohm[:, None, :]
@@ -176,7 +176,7 @@ class SkinCircuit:
         return Delivered(charge_pc / width_us, charge_pc, ends_v, source_v)
 
     def idle(self, duration_us: float) -> None:
-        """Leave all electrodes unconnected; each capacitance discharges through R_p."""
+        """Leave all electrodes unconnected: each capacitance discharges through R_p."""
         self._volts = self._volts * np.exp(
             -duration_us * 1e-6 / (self.parallel_ohm * self.capacitance_f)
         )
@@ -185,11 +185,11 @@ class SkinCircuit:
         """Short all electrodes: each capacitance discharges through R_p, and through R_s to the
         common node.
 
-        In each step the voltage of the node is constant and conserves charge.
+        In each step, the voltage of the node is constant; its value conserves charge.
         """
         if duration_us < 1e-6:
             return
-        # After many time constants the rest is negligible.
+        # The limit is many time constants; the remaining charge is negligible.
         level, steps = self._shorts_of(min(duration_us, _LONGEST_SHORT_US))
         for lost, share in steps:
             self._volts = self._volts + lost * (level * (share @ self._volts) - self._volts)
@@ -197,15 +197,15 @@ class SkinCircuit:
     def _find_shorts(
         self, duration_us: float
     ) -> tuple[NDArray[np.float64], list[tuple[NDArray[np.float64], NDArray[np.float64]]]]:
-        """Return the ratio of each electrode's final voltage to the node's. For each step, return
-        the share of the remaining difference that decays, and the weight in the node's voltage."""
+        """Return, per electrode, the final voltage relative to the node's, and for each step the
+        share of the difference to it that decays, and the weight in the voltage of the node."""
         series = 1 / self.series_ohm
         rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
         level = series / (rate * self.capacitance_f)
         share = _SHORT_GROWTH ** np.arange(_SHORT_STEPS, dtype=np.float64)
         length = (share * (duration_us * 1e-6 / share.sum()))[:, None]
         lost = -np.expm1(-rate * length)
-        # charge that leaves per volt of the capacitor, and that arrives per volt of the node
+        # charge into the node per volt of a capacitor, and out of it per volt of the node
         out = series * lost / rate
         back = series * length * (1 - level) + level * out
         return level, list(zip(lost, out / back.sum(axis=1, keepdims=True), strict=True))
@@ -249,7 +249,7 @@ def _balance(current: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-FORCE_N = 1.0  # default force: a firm pressure at which the current is not reduced
+FORCE_N = 1.0  # default force: enough for the pressure gate to allow full intensity
 OPEN_FACTOR = 5e5  # impedance factor of an open electrode: about 1 GΩ
 SHORT_FACTOR = 1e-4  # impedance factor of a shorted electrode: a few ohm to the tissue
 
@@ -260,7 +260,7 @@ FORMS = {
 
 
 class FingerEvent(NamedTuple):
-    """One event: time, s; kind; electrode, or 0; and force, N."""
+    """Event of the finger: time, s; kind; electrode, 0 if unused; and force, N."""
 
     time_s: float
     kind: str
@@ -269,12 +269,12 @@ class FingerEvent(NamedTuple):
 
 
 def parse_event(text: str) -> FingerEvent:
-    """Parse an event."""
+    """Parse the text of an event, as described in the docstring of this module."""
     words = text.split()
     kind = "".join(words[1:2])
     if kind not in FORMS:
         known = ", ".join(FORMS)
-        raise BoardError(f"event {text!r} is unknown: write a time in s and one of {known}")
+        raise BoardError(f"event {text!r} is not valid: write a time in s and one of {known}")
     names = ["TIME", *FORMS[kind].split()]
     try:
         numbers = {
@@ -283,16 +283,16 @@ def parse_event(text: str) -> FingerEvent:
         }
     except ValueError:
         form = f"TIME {kind} {FORMS[kind]}".strip()
-        raise BoardError(f"event {text!r} has another form: write {form}") from None
+        raise BoardError(f"event {text!r} has a wrong form: write {form}") from None
     if not all(0 <= number < math.inf for number in numbers.values()):
-        raise BoardError(f"event {text!r} has a number that is negative or not finite")
+        raise BoardError(f"event {text!r} is not valid: write numbers of at least 0, no infinity")
     electrode = int(numbers.get("ELECTRODE", 0))
     return FingerEvent(numbers["TIME"], kind, electrode, numbers.get("NEWTON", FORCE_N))
 
 
 class EmulatedFinger:
-    """Finger on the electrodes, with the state of each contact. Events, see the module, may be in
-    any order."""
+    """Finger on the electrodes, with the state of each contact. The docstring of this module
+    describes ``events``, which can be in any order."""
 
     def __init__(self, electrodes: int, events: Iterable[str] = ()) -> None:
         parsed = sorted(parse_event(text) for text in events)
@@ -307,7 +307,7 @@ class EmulatedFinger:
 
     @property
     def force_n(self) -> float:
-        """Current force, 0 when lifted."""
+        """Force of the finger at present, N; 0 while it is lifted."""
         return self._pressure_n if self._touches else 0.0
 
     def opens_switch(self, now_s: float) -> bool:
@@ -316,7 +316,7 @@ class EmulatedFinger:
         return before[-1:] == ["emergency"]
 
     def at(self, now_s: float, skin: SkinCircuit) -> None:
-        """Apply all due events to the skin; times must not decrease."""
+        """Apply all events that are due to the skin; ``now_s`` must not decrease between calls."""
         due = len(self._due)
         while self._due and self._due[0].time_s <= now_s:
             event = self._due.popleft()

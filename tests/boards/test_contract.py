@@ -278,7 +278,7 @@ class TestSimulated(TestMemory):
         with make_board() as board:
             board.send(self.sequence(0))
             refused = BrokenRule(Rule.TOTAL, value=1234)
-            monkeypatch.setattr(LinkRules, "judge", lambda *_: refused)
+            monkeypatch.setattr(LinkRules, "check", lambda *_: refused)
             with raises(BoardError, names="board", value=2) as error:
                 board.send(self.sequence(1))
             assert "1234" in str(error.value)

@@ -82,7 +82,7 @@ def test_bytes_that_differ_are_named_with_their_position(recorded):
     for written, position, got, was in (
         (sent + b"\x07", len(sent), "07", "none"), (sent[:-1], len(sent) - 1, "none", "00")
     ):  # fmt: skip
-        names = (f"byte {position} from the host is {got}, and was {was}",)
+        names = (f"byte {position} from the host is {got}, but {was}",)
         with raises(BoardError, names=names), replayed(path) as port:
             host = os.open(port, os.O_RDWR | os.O_NOCTTY)
             os.write(host, written)

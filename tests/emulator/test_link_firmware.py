@@ -120,7 +120,7 @@ def test_hellos_that_lead_to_nothing_are_counted():
     session = BoardSession()
 
     def hello(half, number):
-        return session.offer(Message(MessageKind.HELLO, number, half), b"")
+        return session.answer_hello(Message(MessageKind.HELLO, number, half), b"")
 
     for half in range(1, MOST_HOSTS + 1):
         assert hello(half, 1) is not None
