@@ -1,4 +1,4 @@
-"""Frames, stimuli and finger force: from pages, cameras, videos, serial sensors and load cells."""
+"""Sources of frames, stimuli and force: pages, cameras, videos, serial sensors, load cells."""
 
 import inspect
 import re
@@ -32,12 +32,12 @@ SOURCES = Registry(
         "video": "smarttouch.sources.video:open_video",
     },
 )
-_NOT_IN_URLS = ("light_on_dark", "mode", "rate_hz", "display", "vibrated")  # options of a run
+_NOT_IN_URLS = ("light_on_dark", "mode", "rate_hz", "display", "vibrated")  # set by the run
 _SUFFIXES = {"recording": (".mcap",), "video": (".avi", ".mkv", ".mov", ".mp4", ".webm")}
 
 
 def kind_of(path: Path) -> str:
-    """Return the kind of source for a file or folder."""
+    """Return the kind of source that opens this file or folder."""
     if path.is_dir():
         return "frames"
     suffix = path.suffix.lower()
@@ -48,19 +48,19 @@ _KIND = re.compile("[A-Za-z0-9_-]+")
 
 
 def source_url(name: str) -> str:
-    """Return the URL of a source from a URL, a file, a folder or words.
+    """Return the URL of the source that a user has named by a URL, a file, a folder or a text.
 
-    Raises SourceError if the name looks like a misspelt kind or a missing file.
+    Raises SourceError if the name looks like a misspelt kind of source or a missing file.
     """
     kind, colon, rest = name.partition(":")
-    # Texts such as "Note: this" and "3:30 p.m." are words.
+    # "Note: this" and "3:30 p.m." are texts, not URLs.
     if colon and _KIND.fullmatch(kind) and not (rest[:1].isspace() or kind.isdecimal()):
         return name
     address = name.rpartition("?")[0] or name
     path = named_file(address, SourceError) if file_at(name) is None else Path(name)
     if path is not None:
         return f"{kind_of(path)}:{name}"
-    known = SOURCES.names  # reads what is installed, which takes a while
+    known = SOURCES.names  # searches installed packages, which takes a while
     from difflib import get_close_matches
 
     if name in known or (len(name) > 3 and get_close_matches(name.lower(), known, 1, 0.8)):
@@ -83,15 +83,15 @@ def open_source(
     Parameters
     ----------
     url : str
-        Kind and place of the source, with options of the kind, as in ``page:scan.png?dpi=300``,
-        except ``light_on_dark``, which imaging needs, too. The kind may be left out for a file, a
-        folder or words: ``scan.png``, ``Hello``.
+        Kind, address and options of the source, as in ``page:scan.png?dpi=300``. The kind can be
+        left out for a file, a folder or a text: ``scan.png``, ``Hello``. ``light_on_dark`` is not
+        an option of URLs, because imaging needs it, too.
     profile : Profile or str
-        Optics of the source and force law of the finger; or the name or file of a profile.
+        Profile with the optics of the source and the force of the finger; or its name or file.
     light_on_dark : bool
-        Whether print is lighter than paper; for sources that detect print themselves.
+        Whether print is lighter than paper. Only sources that detect print use it.
     **options
-        Options of this kind of source, see its module; None means the default.
+        Options of this kind of source, as listed in its module. None means the default.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def open_source(
 
 
 def source_of(given: Given, profile: Profile, *, light_on_dark: bool = False) -> Source:
-    """Return a source from an object, a URL, a path or images.
+    """Return a source for anything that a run accepts as its input.
 
     Parameters
     ----------
@@ -125,14 +125,14 @@ def source_of(given: Given, profile: Profile, *, light_on_dark: bool = False) ->
         A source; a URL; the path of an image, document, video, folder of images or recording;
         images (N, H, W) uint8 or, in color, (N, H, W, 3); or an iterable of images or frames.
     profile : Profile
-        Its optics and the finger's force.
+        Profile with the optics of the source and the force of the finger.
     light_on_dark : bool
         Whether print is lighter than paper.
 
     Raises
     ------
     SourceError
-        If it is none of these, or cannot be opened.
+        If ``given`` is none of these, or cannot be opened.
     """
     if isinstance(given, Source):
         return given

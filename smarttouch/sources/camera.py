@@ -1,4 +1,4 @@
-"""Cameras by OpenCV."""
+"""Cameras as sources, read with OpenCV."""
 
 import os
 import sys
@@ -15,17 +15,17 @@ from smarttouch.imaging.grey_image import GreyConverter
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 
-BUFFERS = 1  # images buffered by the driver: older ones are useless
+BUFFERS = 1  # images that the driver buffers: a run uses only the newest one
 FAILURES = 5  # consecutive reads without an image after which the camera counts as lost
 _PAUSE_S = 0.02
 COMPRESSED = float(cv2.VideoWriter.fourcc(*"MJPG"))
-"""Encoding that allows higher frame rates over USB; other cameras keep their own."""
+"""Encoding that allows higher frame rates over USB. Cameras without it keep their own encoding."""
 _MANUAL_EXPOSURE = 1
 """Value of V4L2_CID_EXPOSURE_AUTO for manual exposure (3 is automatic)."""
 _BELIEVED_AGE_NS = 2_000_000_000
 _MOST_PIXELS = 100_000_000
 _BACKENDS = {"linux": cv2.CAP_V4L2, "darwin": cv2.CAP_AVFOUNDATION}
-"""Backend of OpenCV; others could take a camera's name for a file or an address."""
+"""Backend of OpenCV by platform: other backends could open a camera's name as a file or URL."""
 
 
 def open_camera(
@@ -38,16 +38,16 @@ def open_camera(
 ) -> LiveSource:
     """Open ``camera:N``, or a camera by its device, as in ``camera:/dev/video2``.
 
-    ``exposure`` is in units of the camera, usually 100 µs on Linux; ``size`` is in pixels. The
-    camera's settings are the defaults.
+    ``size`` is width and height, pixels; ``exposure`` is in units of the camera, usually 100 µs on
+    Linux. Without an option, the camera keeps its own setting.
     """
     return LiveSource(CameraDevice(rest, size, exposure, fps), profile)
 
 
 def cameras() -> list[tuple[int, str]]:
-    """Return numbers and names of cameras that Linux lists, without opening them.
+    """Return numbers and names of the cameras that Linux lists, without opening them.
 
-    Other device nodes of a camera, for example for metadata, are left out.
+    Leave out additional device nodes of a camera, for example for metadata.
     """
     nodes = Path("/sys/class/video4linux").glob("video*/index")
     return sorted(
@@ -58,8 +58,8 @@ def cameras() -> list[tuple[int, str]]:
 
 
 def silence_opencv() -> None:
-    """Turn off OpenCV's warnings on the terminal: notes and errors replace them."""
-    # Before version 4.13 the log level is set in the main module.
+    """Turn off OpenCV's warnings on the terminal; sources report problems by notes and errors."""
+    # Before version 4.13, the main module of OpenCV contains `setLogLevel`.
     log = cv2.utils.logging if hasattr(cv2.utils, "logging") else cv2
     log.setLogLevel(0)
 
@@ -74,7 +74,7 @@ def _format(capture: cv2.VideoCapture) -> tuple[int, int, float]:
 
 
 class CameraDevice(ImageDevice):
-    """Gray images of one camera. Settings that the camera does not accept become notes."""
+    """Camera that delivers gray images. Adds a note for each setting that it does not accept."""
 
     def __init__(
         self,
@@ -100,7 +100,7 @@ class CameraDevice(ImageDevice):
         self._converter = GreyConverter()
 
     def open(self) -> None:
-        # The driver's default timeout is ten seconds.
+        # Wait for an image for one second, not ten as by default.
         os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
         silence_opencv()
         try:
@@ -139,11 +139,11 @@ class CameraDevice(ImageDevice):
         if self._exposure is not None:
             manual = capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
             if not (capture.set(cv2.CAP_PROP_EXPOSURE, self._exposure) and manual):
-                self._note(f"does not accept an exposure of {self._exposure:g}: it keeps its own")
+                self._note(f"does not accept exposure {self._exposure:g}, and keeps its setting")
             else:
                 exposure = capture.get(cv2.CAP_PROP_EXPOSURE)
                 if abs(exposure - self._exposure) > 0.1 * abs(self._exposure):
-                    self._note(f"exposes by {exposure:g}, not {self._exposure:g}")
+                    self._note(f"uses exposure {exposure:g}, not {self._exposure:g}")
 
     def _set_size(self, capture: cv2.VideoCapture) -> None:
         if self._size is not None:
@@ -158,7 +158,7 @@ class CameraDevice(ImageDevice):
             self.notes.append(note)
 
     def grab(self, timeout_s: float) -> Shot | None:
-        """Return the next image; waits for the driver, at most one second."""
+        """Return the next image, or None; wait for the driver for at most one second."""
         capture = self._capture
         if capture is None:
             raise SourceLostError(f"{self.title} is not open")
@@ -176,7 +176,7 @@ class CameraDevice(ImageDevice):
         return Shot(self._grey(image), self._taken_ns(capture))
 
     def _grey(self, image: NDArray[Any]) -> NDArray[np.uint8]:
-        """Convert an image of OpenCV (BGR) to gray."""
+        """Convert an image from OpenCV, gray or BGR, to gray levels."""
         if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] == 2):
             raise SourceError(
                 f"{self.title} gives images of shape {image.shape}: only gray and color can be read"
@@ -187,7 +187,7 @@ class CameraDevice(ImageDevice):
 
     @staticmethod
     def _taken_ns(capture: cv2.VideoCapture) -> int:
-        """Return the driver's time stamp if it is on our clock, else the current time."""
+        """Return the driver's time stamp if it is by `time.perf_counter_ns`, else the time now."""
         now_ns = time.perf_counter_ns()
         taken_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
         return taken_ns if 0 <= now_ns - taken_ns <= _BELIEVED_AGE_NS else now_ns

@@ -1,10 +1,9 @@
-"""Sources of finger force: load cells, or a stated force.
+"""Sources of finger force: load cells, or a force that the user states.
 
-``hx711:`` reads lines of text from Arduino sketches for the HX711. The default is 57,600 baud, as
-in the examples of its library; ``hx711:PORT?baud=115200`` sets another speed. ``loadcell:`` reads
-FORCE packets of `smarttouch.sources.serial_array`.
-
-The profile's ``force.curve`` converts readings to newtons.
+``hx711:`` reads lines of text from Arduino sketches for the HX711. The default speed is 57,600
+baud, as in the examples of the HX711 library; ``hx711:PORT?baud=115200`` sets another speed.
+``loadcell:`` reads FORCE packets, see `smarttouch.sources.serial_array`. The profile's
+``force.curve`` converts readings to newtons.
 """
 
 import contextlib
@@ -30,17 +29,17 @@ LARGEST_FIXED_N = 20.0
 
 
 class ForceSource(Device, ABC):
-    """Base of sources of finger force."""
+    """Base class of sources of finger force."""
 
     is_live: ClassVar[bool] = True
-    """Whether the force is measured on, or stated for, a real finger that presses now. Only such a
-    force allows current on a board that a finger may touch."""
+    """Whether the force is that of a real finger that presses now, measured or stated by the user.
+    A board that a finger can touch gets current only with a live force."""
 
     @abstractmethod
     def read(self, time_ns: int) -> float:
-        """Return the force at a time since the start of the run, N; NaN if unknown.
+        """Return the force, N, at ``time_ns`` since the start of the run; NaN if unknown.
 
-        Never waits and never raises.
+        Never wait and never raise.
         """
 
 
@@ -84,18 +83,18 @@ class FixedForce(ForceSource):
         return self._force_n
 
 
-FRESH_S = 0.35  # age up to which a reading is valid: cells convert at least ten times a second
+FRESH_S = 0.35  # age up to which a reading is valid: load cells send at least ten a second
 FROZEN_READINGS = 20
-FROZEN_S = 2.0  # duration of equal readings that means a frozen cell: converters always have noise
+FROZEN_S = 2.0  # equal readings for this time mean a fault: working converters are noisy
 SATURATED = (float(-(2**23)), float(2**23 - 1))
-"""Limits of the HX711's range: it is overloaded, or no cell is connected."""
+"""Ends of the HX711's range. It returns them if it is overloaded or no load cell is connected."""
 
 
 class CellWatch:
-    """Validates the readings of one cell; warnings go to ``notes``.
+    """Monitor of the readings of one load cell, which adds warnings to ``notes``.
 
-    ``presses`` returns whether a reading means contact: only then are constant readings a fault.
-    """
+    ``presses`` returns whether a finger presses at a reading. Constant readings are a fault only
+    while a finger presses."""
 
     def __init__(self, title: str, notes: list[str], presses: Callable[[float], bool]) -> None:
         self._title = title
@@ -111,7 +110,7 @@ class CellWatch:
     def take(
         self, readings: list[float], now_ns: int, garbled: int = 0, last_garbled: str = ""
     ) -> None:
-        """Add new readings, oldest first; ``garbled`` is the number of inputs without a reading."""
+        """Add new readings, oldest first. ``garbled`` is the total number of unreadable inputs."""
         for value in readings:
             known = self._count(value)
             if known == self._value:
@@ -125,13 +124,13 @@ class CellWatch:
             if self._frozen(now_ns):
                 self._warnings.put(
                     "frozen",
-                    f"{self._title}: readings were constant under pressure: it is frozen, or "
-                    "prints too few decimals",
+                    f"{self._title}: readings did not change under pressure: the load cell is "
+                    "faulty, or its sketch prints too few decimals",
                 )
         if garbled:
             times = "once" if garbled == 1 else f"{garbled} times"
             self._warnings.put(
-                "garbled", f"{self._title}: input without a reading {times}, last {last_garbled}"
+                "garbled", f"{self._title}: unreadable input {times}, the last was {last_garbled}"
             )
 
     def lose(self, now_ns: int) -> None:
@@ -144,12 +143,12 @@ class CellWatch:
         self._longest_s = max(self._longest_s, silent_ns / 1e9)
         self._warnings.put(
             "silence",
-            f"{self._title}: no reading for {self._longest_s:.1f} s: check its cable; a reading is "
-            f"valid for {FRESH_S:g} s, so ten a second are needed",
+            f"{self._title}: no reading for {self._longest_s:.1f} s: check its cable, and that it "
+            f"sends ten readings a second, because each is valid for {FRESH_S:g} s",
         )
 
     def reading(self, now_ns: int) -> float:
-        """Return the newest reading, or NaN if it is not valid."""
+        """Return the newest reading, or NaN if the reading is too old or the cell is frozen."""
         if self._last_ns is None or now_ns - self._last_ns > FRESH_S * 1e9:
             return math.nan
         return math.nan if self._frozen(now_ns) else self._value
@@ -168,8 +167,8 @@ class CellWatch:
         self._invalid += 1
         self._warnings.put(
             "invalid",
-            f"{self._title}: {self._invalid} times without a value or at the end of its range: "
-            "overloaded, or not connected",
+            f"{self._title}: {self._invalid} readings without a value or at the end of the range: "
+            "check that the load cell is connected and not overloaded",
         )
         return math.nan
 
@@ -178,8 +177,8 @@ FIRST_READING_S = 5.0
 """Time limit of the first reading: some boards restart for two seconds when the port opens."""
 MUTE_S = 2.0  # shortest time without a reading after which a cell counts as silent
 RETRY_S = 0.25  # interval of attempts to reopen a lost port
-JOIN_S = 2.0  # longest wait for a driver that hangs
-LARGEST_N = 100.0  # largest plausible force of a finger; above it the curve is wrong
+JOIN_S = 2.0  # longest wait for the end of the thread, which hangs if the port's driver hangs
+LARGEST_N = 100.0  # largest plausible force of a finger; a larger force means a wrong curve
 _WAIT_S = 0.05
 _KINDS: dict[str, tuple[int, type[TextReadings] | type[PacketReadings]]] = {
     "hx711": (57_600, TextReadings),
@@ -188,7 +187,7 @@ _KINDS: dict[str, tuple[int, type[TextReadings] | type[PacketReadings]]] = {
 
 
 def open_hx711(rest: str, profile: Profile) -> ForceSource:
-    """Open ``hx711:PORT``, a sketch that prints one reading per line."""
+    """Open ``hx711:PORT``, an Arduino sketch that prints one reading per line."""
     return LoadCellForce(f"hx711:{rest}", profile)
 
 
@@ -198,16 +197,14 @@ def open_load_cell(rest: str, profile: Profile) -> ForceSource:
 
 
 def open_cell(url: str) -> "LoadCell":
-    """Open a load cell for raw readings, without a curve."""
-    # Without a curve contact is unknown; sketches with tare send constant zeros.
+    """Open a load cell for raw readings, which are not converted to newtons."""
+    # Only a constant 0 is not a fault: sketches that subtract a tare send it without contact.
     return LoadCell(url, presses=lambda reading: reading != 0)
 
 
 class LoadCell(Closing):
-    """Load cell at ``hx711:PORT`` or ``loadcell:PORT``, optionally with ``?baud=N``, read by a
-    thread.
-
-    ``presses`` is as in `CellWatch`.
+    """Load cell at ``hx711:PORT`` or ``loadcell:PORT``, optionally with ``?baud=N``, which a thread
+    reads. `CellWatch` describes ``presses``.
     """
 
     def __init__(self, url: str, presses: Callable[[float], bool]) -> None:
@@ -238,11 +235,11 @@ class LoadCell(Closing):
             return self._watch.reading(time.perf_counter_ns())
 
     def collect(self, seconds: float) -> NDArray[np.float64]:
-        """Collect raw readings for some seconds, (N,), and until there is at least one."""
+        """Return the raw readings of the next ``seconds``, (N,); wait longer for the first one."""
         with self._news:
             self._collected = []
         self._closing.wait(seconds)
-        # The computer itself may pause.
+        # Wait for the first reading for at least `MUTE_S`, because this computer can pause, too.
         patience_s = max(seconds, MUTE_S)
         with self._news:
             self._news.wait_for(lambda: bool(self._collected), patience_s - seconds)
@@ -331,8 +328,8 @@ class LoadCellForce(ForceSource):
             if not self._beyond:
                 self._beyond = True
                 self.notes.append(
-                    f"{self.title}: {newtons:.3g} N by force.curve, more than any finger: it "
-                    "is not the curve of this cell, run smarttouch calibrate force"
+                    f"{self.title}: force.curve gives {newtons:.3g} N, more than a finger can "
+                    "press: it belongs to another load cell, run smarttouch calibrate force"
                 )
             return math.nan
         return newtons if math.isnan(newtons) else max(0.0, newtons)
@@ -349,7 +346,7 @@ class LoadCellForce(ForceSource):
 
 
 def _parse(url: str) -> tuple[str, str, int]:
-    """Parse kind, port and speed from a URL."""
+    """Return kind, port and speed of the load cell of a URL."""
     kind, _, rest = url.partition(":")
     if kind not in _KINDS:
         kinds = " or ".join(f"{known_kind}:PORT" for known_kind in _KINDS)

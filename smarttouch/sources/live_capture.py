@@ -1,4 +1,4 @@
-"""Capture from a live device by a thread; a run gets the newest image."""
+"""Sources with a live device: a thread captures its images, and a run reads the newest one."""
 
 import math
 import threading
@@ -30,11 +30,11 @@ class Shot:
     Attributes
     ----------
     image : ndarray, (H, W) uint8
-        Gray levels; the device does not change them afterwards.
+        Gray levels; the device must not change the array afterwards.
     taken_ns : int
-        `time.perf_counter_ns` when it was taken or received.
+        `time.perf_counter_ns` when the image was taken or received.
     missed : int
-        Number of images lost or skipped since the shot before.
+        Number of images lost or skipped since the previous shot.
     """
 
     image: NDArray[np.uint8]
@@ -43,14 +43,14 @@ class Shot:
 
 
 class ImageDevice(ABC):
-    """Device that delivers images to a live source; used by one thread at a time."""
+    """Device that delivers images to a `LiveSource`, which calls it from one thread at a time."""
 
     title: str
-    """Name of the device, in a few words."""
+    """Short name of the device."""
 
     @cached_property
     def notes(self) -> list[str]:
-        """Warnings for the user, which `LiveSource` passes on."""
+        """Warnings for the user; they become notes of the `LiveSource`."""
         return []
 
     @abstractmethod
@@ -69,31 +69,31 @@ class ImageDevice(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Close the device, in any state. Never raises."""
+        """Close the device in any state. Never raise."""
 
 
-FIRST_IMAGE_S = 2.0  # time limit of the first read: devices start slowly
-GRAB_S = 0.1  # longest wait in one call, so that closing is fast
+FIRST_IMAGE_S = 2.0  # longest wait for the first image, as devices start slowly
+GRAB_S = 0.1  # longest wait of one call of `ImageDevice.grab`, so that closing is fast
 RETRY_S = 0.25  # interval of attempts to reopen a lost device
-JOIN_S = 2.0  # time to wait for a driver that hangs, before it is abandoned
+JOIN_S = 2.0  # longest wait for the end of the thread, which hangs if the device's driver hangs
 
 
 class LiveSource(OpticalSource):
-    """Source of the newest image: a thread grabs images, and `read` returns the latest.
+    """Source of the newest image of a device: a thread grabs images, and `read` returns the newest.
 
-    The thread starts with the first `read`; earlier images are discarded. Motion is measured from
-    each image to the next, including unread ones, and summed to the pose, which starts at (0, 0).
+    The first `read` starts the thread; earlier images are lost. The pose is the sum of the motions
+    from each image to the next, including images that are never read; it starts at (0, 0).
 
     Parameters
     ----------
     device : ImageDevice
-        Closed device, which the source opens at once and closes at the end.
+        Device that is not open. The source opens it immediately and closes it at the end.
     profile : Profile
-        Optics: scale of the motion, flat field.
+        Profile with the optics: scale of the motion, and flat field.
     replug_s : float, s
-        Longest wait for a lost device.
+        Longest wait for the return of a lost device.
     now_ns : callable
-        The clock of `Shot.taken_ns`.
+        Clock of `Shot.taken_ns`.
 
     Raises
     ------
@@ -144,7 +144,7 @@ class LiveSource(OpticalSource):
         Raises
         ------
         SourceError
-            If there is no first image in time, or the device is lost or fails.
+            If the first image does not arrive in time, or the device is lost or fails.
         """
         with self._changed:
             if self._closed:
@@ -186,7 +186,7 @@ class LiveSource(OpticalSource):
             self.notes.append(f"{self.title} did not respond within {JOIN_S:g} s and was left open")
 
     def _grab_all(self) -> None:
-        """Grab all images; `read` raises exceptions of this thread."""
+        """Grab images until the source is closed. Store exceptions, which `read` then raises."""
         try:
             while not self._stop.is_set():
                 shot = self._grab()
@@ -204,7 +204,7 @@ class LiveSource(OpticalSource):
             self._device.close()
 
     def _grab(self) -> Shot | None:
-        """Return the next image; try to reopen a lost device."""
+        """Return the next image, or None; try to reopen a lost device."""
         try:
             if not self._is_open:
                 if self._stop.wait(RETRY_S):
@@ -225,7 +225,8 @@ class LiveSource(OpticalSource):
         return shot
 
     def _await_return(self, lost_ns: int, shot: Shot | None) -> None:
-        """Reopen a device; it counts as returned when it delivers an image."""
+        """Update the warning about a lost device, which has returned when ``shot`` is an image.
+        Raises SourceError if it has not returned within ``replug_s``."""
         gone_s = (self._now_ns() - lost_ns) / 1e9
         self._warnings.put(f"lost {lost_ns}", f"{self.title} was disconnected for {gone_s:.1f} s")
         if shot is not None:

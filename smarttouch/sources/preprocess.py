@@ -1,4 +1,4 @@
-"""Preprocessing of images: flat-field correction, motion and pose."""
+"""Preprocessing of camera images: flat-field correction, motion between images, and pose."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,9 +16,9 @@ from smarttouch.base.files import MOST_ARRAY_BYTES, open_file
 from smarttouch.profile import Optics, Profile
 from smarttouch.sources.source_contract import Pose
 
-DEAD_SHARE = 0.25  # response to light, relative to the median, below which a pixel is dead
+DEAD_SHARE = 0.25  # response to light, relative to the median pixel, below which a pixel is dead
 HOT_LEVELS = 24.0  # gray levels above the median dark level at which a pixel is hot
-LEAST_SPAN = 40.0  # smallest difference of white and dark, gray levels
+LEAST_SPAN = 40.0  # smallest difference of white paper and darkness, gray levels
 SATURATED = 254.0
 MOST_SATURATED = 0.01
 MOST_BROKEN = 0.02  # largest share of broken pixels
@@ -34,9 +34,8 @@ class FlatField:
         fits = dark.ndim == 2 and dark.shape == gain.shape and gain.any()
         if not (fits and np.isfinite([dark, gain]).all() and (gain >= 0).all()):
             raise SourceError(
-                f"a dark level of {dark.shape} and a gain of {gain.shape} are not a flat "
-                "field, or have no good pixel, or numbers that are negative or not finite: "
-                "calibrate the optics again"
+                f"the flat field is damaged (shapes {dark.shape} and {gain.shape}, or numbers that "
+                "are negative, not finite or all 0): calibrate the optics again"
             )
         self.dark: NDArray[np.float32] = np.ascontiguousarray(dark, np.float32)
         self.gain: NDArray[np.float32] = np.ascontiguousarray(gain, np.float32)
@@ -47,7 +46,7 @@ class FlatField:
         return int((self.gain == 0).sum())
 
     def correct(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return an image corrected to equal responses of all pixels."""
+        """Return the image that a sensor with equal pixels would have taken."""
         if image.shape != self.gain.shape:
             (rows, columns), (height, width) = image.shape[:2], self.gain.shape
             raise SourceError(
@@ -67,9 +66,9 @@ class FlatField:
     def measure(
         cls, dark_images: Sequence[NDArray[np.uint8]], white_images: Sequence[NDArray[np.uint8]]
     ) -> Self:
-        """Compute the flat field from images in the dark and of blank white paper.
+        """Compute the flat field from images in the dark and images of blank white paper.
 
-        White keeps its typical level.
+        The correction does not change the median level of white paper.
         """
         dark, white = mean_image(dark_images), mean_image(white_images)
         if dark.shape != white.shape:
@@ -81,9 +80,9 @@ class FlatField:
         typical = float(np.median(span))
         if typical < LEAST_SPAN:
             raise CalibrationError(
-                f"white is only {typical:.0f} gray levels above dark, and {LEAST_SPAN:.0f} are "
-                "needed: is the light on, the sensor covered for dark frames and on white paper "
-                "after?"
+                f"white is only {typical:.0f} gray levels above dark, but {LEAST_SPAN:.0f} are "
+                "needed: cover the sensor for the dark frames, then turn on its light and put it "
+                "on white paper"
             )
         saturated = float((white >= SATURATED).mean())
         if saturated > MOST_SATURATED:
@@ -94,8 +93,8 @@ class FlatField:
         broken = (span < DEAD_SHARE * typical) | (dark > np.median(dark) + HOT_LEVELS)
         if broken.mean() > MOST_BROKEN:
             raise CalibrationError(
-                f"{int(broken.sum())} of {broken.size} pixels are dead or hot: is the field of "
-                "view free, lit evenly, and dark when covered?"
+                f"{int(broken.sum())} of {broken.size} pixels are dead or hot: check that the "
+                "field of view is free, lit evenly, and dark when covered"
             )
         level = float(np.median(white[~broken]))
         gain = np.where(broken, 0.0, level / np.where(broken, 1.0, span))
@@ -129,7 +128,7 @@ class FlatField:
 
 
 def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
-    """Return the mean of images of one shape."""
+    """Return the mean of images, which must have the same shape."""
     if not len(images):
         raise CalibrationError("no frames arrived: check the source")
     shapes = {image.shape for image in images}
@@ -142,16 +141,16 @@ def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
 
 
 MOST_PIXELS = 64
-"""Longest side of the working image: more pixels take time and add little accuracy."""
+"""Longest side of the images that `Matcher` compares: more pixels add little accuracy."""
 FINER = 2
-"""Smaller images are enlarged up to this side: with linear interpolation alone, 16 x 16 sensors
-lose 80 % of the accuracy."""
+"""Factor by which `Matcher` enlarges images if they stay within `MOST_PIXELS`: without cubic
+enlargement, 16 x 16 sensors lose 80 % of the accuracy."""
 LEAST_SLOPE = 6.0
-"""Mean squared gradient, (levels/pixel)², below which a direction shows no print: noise of 2 levels
-and uneven light give about 1.5."""
-MOST_UNEXPLAINED = 0.25  # largest share of variance that a shift may leave unexplained
+"""Mean squared gradient, (levels/pixel)², below which a direction has no visible print: noise of 2
+levels and uneven light cause about 1.5."""
+MOST_UNEXPLAINED = 0.25  # a shift is unknown if it leaves more of the variance unexplained
 _STEPS = 6
-_CLOSE = 0.02  # step, in pixels, below which the iteration ends
+_CLOSE = 0.02  # step, in pixels, below which the iteration has converged
 _LONGEST_STEP = 4.0
 _LEAST_OVERLAP = 0.5  # smallest overlap of two images, relative to each side
 _FEWEST_COMMON = 2
@@ -166,9 +165,9 @@ Common = tuple[slice, slice]
 
 
 class Matcher:
-    """Measures the shift between successive images, in pixels of the working image.
+    """Estimator of the shift between successive images, in pixels of images resized to `shape`.
 
-    Correlation finds it to one pixel. Gauss–Newton steps on gray levels refine it (inverse
+    Correlation finds the shift to one pixel. Gauss–Newton steps on gray levels refine it (inverse
     compositional algorithm: Baker and Matthews, Lucas-Kanade 20 Years On, 2004).
     """
 
@@ -183,21 +182,22 @@ class Matcher:
         self._before = self._image = np.zeros(self.shape, np.float32)
         self._beside = np.linspace(-1, 1, columns, dtype=np.float32)
         self._below = np.linspace(-1, 1, rows, dtype=np.float32)[:, None]
-        self._usual: Shift = (0.0, 0.0)  # last accepted shift, as fingers move steadily
+        self._last_shift: Shift = (0.0, 0.0)  # probable next shift, because fingers move steadily
 
     def match(self, image: NDArray[np.uint8], first: bool) -> Shift:
-        """Return the shift of the content; zeros if it is unknown or the image is the first."""
+        """Return the shift of the content from the last image to this one, or zeros if the shift is
+        unknown or the image is the ``first``."""
         if image.shape != self.shape:
             size = self.shape[::-1]
             image = np.asarray(cv2.resize(image, size, interpolation=self._method), np.uint8)
         self._before, self._image = self._image, image.astype(np.float32)
         shift = None if first or not self._seen else self._find()
         if first or shift is not None:
-            self._usual = shift or (0.0, 0.0)
+            self._last_shift = shift or (0.0, 0.0)
         return shift or (0.0, 0.0)
 
     def _find(self) -> Shift | None:
-        """Return the shift that explains the image, or None."""
+        """Return the shift from the last image to this one, or None if it is unknown."""
         begin = self._begin()
         common = None if begin is None else self._common(begin, 1)
         if begin is None or common is None:
@@ -218,13 +218,13 @@ class Matcher:
                 break
         if unexplained > MOST_UNEXPLAINED:
             return None
-        # Only the component along the gradient is known.
+        # A shift along edges is invisible: keep its components along visible gradients.
         x, y = (steep @ shift) @ steep
         return float(x), float(y)
 
     def _slopes(self, common: Common) -> tuple[Floats, Image]:
-        """Return the directions in which a shift is visible, (K, 2), and derivatives of the gray
-        levels by shifts in these directions and by illumination, (K + 3, N)."""
+        """Return the directions in which a shift is visible, (K, 2), and the derivatives of gray
+        levels with respect to shifts in these directions and to illumination, (K + 3, N)."""
         along_x, along_y = (
             np.asarray(cv2.Sobel(self._before, cv2.CV_32F, *way, ksize=3, scale=1 / 8)[common])
             for way in ((1, 0), (0, 1))
@@ -233,29 +233,30 @@ class Matcher:
         squares, directions = np.linalg.eigh(np.cov(gradient, bias=True))
         steep = directions.T[squares > self._least_slope]
         level = self._before[common]
-        # Illumination is fixed to the sensor, and must not be taken for motion.
+        # Illumination does not move with the page, and must not be mistaken for motion.
         light = level, level * self._beside[common[1]], level * self._below[common[0]]
         slopes = np.vstack([steep @ gradient, [light_map.ravel() for light_map in light]])
         return steep, (slopes - slopes.mean(axis=1, keepdims=True)).astype(np.float32)
 
     def _rest(self, shift: Floats, common: Common) -> tuple[Image, float]:
-        """Return the difference of the images at a shift, (N,) levels, with mean 0, and its
-        variance relative to that of the images."""
+        """Return the difference of the images after undoing a shift, (N,) levels, with mean 0, and
+        the variance of the difference relative to that of the images."""
         to_now = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
-        laid_back = cv2.warpAffine(
+        undone = cv2.warpAffine(
             self._image, to_now, self.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
             borderMode=cv2.BORDER_REPLICATE,
         )  # fmt: skip
-        before, now = self._before[common], np.asarray(laid_back, np.float32)[common]
+        before, now = self._before[common], np.asarray(undone, np.float32)[common]
         rest = (before - now).ravel()
         rest -= rest.mean()
         contrast = float(before.var() + now.var()) / 2
         return rest, float(rest @ rest) / rest.size / (contrast + _NOISE)
 
     def _begin(self) -> Shift | None:
-        """Return the best of three: the last shift, zero, and the peak of the covariance."""
+        """Return the start of the iteration, which is the last shift, zero or the peak of the
+        covariance, whichever correlates best; None if none correlates."""
         far = _largest_covariance(self._before, self._image)
-        best = max((self._correlation(by), by) for by in {far, self._usual, (0.0, 0.0)})
+        best = max((self._correlation(by), by) for by in {far, self._last_shift, (0.0, 0.0)})
         return best[1] if best[0] > 0 else None
 
     def _correlation(self, shift: Shift) -> float:
@@ -271,7 +272,8 @@ class Matcher:
         return float(correlation[0, 0])
 
     def _common(self, shift: Shift, border: int = 0) -> Common | None:
-        """Return rows and columns of the earlier image in the overlap, without a border."""
+        """Return rows and columns in which the last image overlaps this one, without a border; None
+        if the overlap is too small."""
         slices = []
         for side, by in zip(self.shape, map(round, shift[::-1]), strict=True):
             start, stop = border + max(0, -by), side - border - max(0, by)
@@ -283,7 +285,7 @@ class Matcher:
 
 
 def _largest_covariance(before: Image, now: Image) -> Shift:
-    """Return the integer shift with the largest covariance, in pixels of the halved images."""
+    """Return the shift with the largest covariance, in pixels; search on images of half size."""
     rows, columns = (side // _COARSER for side in before.shape)
     first, second = (
         np.asarray(cv2.resize(levels, (columns, rows), interpolation=cv2.INTER_AREA), np.float32)
@@ -297,10 +299,9 @@ def _largest_covariance(before: Image, now: Image) -> Shift:
 
 
 def page_per_pixel(optics: Optics, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the motion on the page for one pixel of shift, (2, 2) mm.
+    """Return the matrix from a shift in pixels to a motion on the page in mm, (2, 2).
 
-    ``shape`` is the shape of the image of the field of view; a homography is linearized at its
-    middle.
+    ``shape`` is the shape of the image. A homography is linearized at the middle of the image.
     """
     rows, columns = shape
     if optics.homography is None:
@@ -317,10 +318,10 @@ def page_per_pixel(optics: Optics, shape: tuple[int, int]) -> NDArray[np.float64
 
 
 class FramePreprocessor:
-    """Corrects images by the profile's flat field, and sums their motion to a pose.
+    """Flat-field correction of successive images, with the pose as the sum of their motions.
 
-    Motion counts as zero if it cannot be measured: on blank paper, along a straight edge that fills
-    the image, or if two images overlap too little.
+    A motion that cannot be measured counts as zero: on blank paper, along a straight edge that
+    fills the image, or if two images overlap too little.
     """
 
     def __init__(self, profile: Profile) -> None:
@@ -360,5 +361,5 @@ class FramePreprocessor:
         return x_mm, y_mm
 
     def interrupt(self) -> None:
-        """Ignore the motion up to the next image."""
+        """Do not measure the motion from the last image to the next one."""
         self._is_first = True

@@ -1,4 +1,4 @@
-"""Wire format of sensors, as a specification for firmware.
+"""Sensor arrays and load cells on serial lines; their wire format, as a specification for firmware.
 
 The device streams over a USB or other serial line; the host sends nothing. A packet is COBS-encoded
 and ends with one 0x00, so receivers resynchronize at the next zero. The decoded packet is little
@@ -7,9 +7,9 @@ endian::
     u8  version = 1
     u8  type
     u32 number      counts the packets of its type from 0 on and wraps; a gap
-                    gives the number of lost ones
+                    gives the number of lost packets
     ... payload
-    u32 CRC-32      (IEEE 802.3) of all before it
+    u32 CRC-32      (IEEE 802.3) of all bytes before the CRC
 
 ==== ===== ==================================================================
 type name  payload
@@ -22,15 +22,16 @@ type name  payload
 
 Rules for the device:
 
-- It sends each FRAME at once and never queues. A frame that cannot be sent in time is dropped
-  together with its number.
+- It sends each FRAME immediately and never queues frames. A frame that cannot be sent in time is
+  dropped, and its number is skipped.
 - Device time is the time of capture, on a clock that does not stop; it wraps after 71.6 minutes.
-  The host measures age from the arrival.
+  The host measures the age of a frame from the arrival.
 - A device with an image sensor and a load cell may send both over one line. Other types of packets
   are ignored.
 
-A FRAME of 64 × 64 has up to 4,130 bytes, so 200 a second need 826 kB/s, which is possible over USB.
-921,600 baud allow 22 of them a second, 88 of 32 × 32, 335 of 16 × 16 and 2,700 of 4 × 4.
+A FRAME of 64 × 64 pixels has up to 4,130 bytes. At 200 frames a second, this is 826 kB/s, which USB
+can carry. At 921,600 baud, a line carries 22 frames a second of 64 × 64 pixels, 88 of 32 × 32, 335
+of 16 × 16 and 2,700 of 4 × 4.
 
 Sketches for the HX711 print text, one reading per line::
 
@@ -40,9 +41,8 @@ Sketches for the HX711 print text, one reading per line::
     0.00 kg
 
 The reading is the first number that is not part of a word such as ``HX711``. A line that ends with
-a colon is a label for the value in the next line. Text has no checksum, so a lost digit goes
-unnoticed; FORCE packets have one.
-"""
+a colon is a label for the value in the next line. Text has no checksum, unlike FORCE packets: a
+lost digit is not detected."""
 
 import contextlib
 import math
@@ -79,7 +79,7 @@ class PacketKind(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class ArrayFrame:
-    """One read-only frame of a sensor array; number and device time are modulo 2³²."""
+    """Frame of a sensor array with a read-only image; number and device time are modulo 2³²."""
 
     number: int
     time_us: int
@@ -88,7 +88,7 @@ class ArrayFrame:
 
 @dataclass(frozen=True)
 class CellReading:
-    """One reading of a load cell; the value is None if the device has none."""
+    """Reading of a load cell, as an integer; None if the device has no value."""
 
     number: int
     time_us: int
@@ -102,13 +102,13 @@ def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
     """Encode a frame, (H, W) uint8 with 1 to 255 rows and columns."""
     if image.ndim != 2 or image.dtype != np.uint8:
         raise SourceError(
-            f"a frame on the wire is grey, one byte a pixel, not {image.dtype} of {image.shape}"
+            f"an image of {image.dtype} {image.shape} is not a frame: give gray levels (H, W) uint8"
         )
     rows, columns = image.shape
     if not (1 <= rows <= MOST_PIXELS_A_SIDE and 1 <= columns <= MOST_PIXELS_A_SIDE):
         raise SourceError(
-            f"a frame on the wire has 1 to {MOST_PIXELS_A_SIDE} rows and columns, "
-            f"not {rows} x {columns}"
+            f"an image of {rows} x {columns} pixels is not a frame: give 1 to {MOST_PIXELS_A_SIDE} "
+            "rows and columns"
         )
     head = _FRAME.pack(rows, columns, time_us % NUMBERS)
     return frame_packet(VERSION, PacketKind.FRAME, number % NUMBERS, head + image.tobytes())
@@ -124,8 +124,8 @@ def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
 
 
 def decode(packet: WirePacket) -> Message | None:
-    """Return the message in a packet; None if it is malformed, or its kind or version is
-    unknown."""
+    """Return the message in a packet; None if the packet is malformed, or has an unknown kind or
+    version."""
     if packet.version != VERSION:
         return None
     if packet.kind == PacketKind.FRAME:
@@ -147,8 +147,8 @@ def _decode_frame(number: int, payload: bytes) -> ArrayFrame | None:
 
 
 def gap(before: int, number: int) -> int:
-    """Return the number of packets missing between two numbers; 0 if the device has restarted or
-    the packet is old."""
+    """Return the number of packets lost between two packet numbers; 0 if the device has restarted
+    or the second packet is older."""
     missing = (number - before - 1) % NUMBERS
     return missing if missing < NUMBERS // 2 else 0
 
@@ -156,8 +156,8 @@ def gap(before: int, number: int) -> int:
 class MessageStream:
     """Parser of messages in a stream that may start within a message.
 
-    ``broken`` counts malformed pieces between zeros, without the first one, whose start may be
-    missing. Packets of other kinds are ignored.
+    ``broken`` is the number of malformed packets, except the first packet, whose start can be
+    missing. Packets of unknown kinds are ignored.
     """
 
     def __init__(self) -> None:
@@ -191,11 +191,11 @@ _LARGEST_READ = 65536
 
 
 def read_available(port: Port, title: str) -> bytes:
-    """Return the received bytes; wait for the first one up to the port's timeout."""
+    """Return the received bytes; wait for the first byte up to the port's timeout."""
     try:
-        # Do not ask for more bytes than there are: that would wait for the timeout.
+        # A request for more bytes than have arrived would wait for the timeout.
         data = bytes(port.read(port.in_waiting or 1))
-        # pyserial does not report the number of received bytes for TCP.
+        # For TCP, pyserial does not report how many bytes have arrived: read them from the socket.
         wire = getattr(port, "_socket", None)
         if data and wire is not None:
             with contextlib.suppress(BlockingIOError):
@@ -213,8 +213,8 @@ _TEXT = re.compile(rb"[\t\x20-\x7e]*")
 
 
 def parse_line(line: bytes) -> float | None:
-    """Parse a line without its end: return the reading, NaN for a line without one, or None for an
-    invalid line."""
+    """Return the reading in a line without its line ending; NaN if the line states NaN, overflow or
+    an implausible number; None if it has no number or is not text."""
     if not _TEXT.fullmatch(line):
         return None
     number, none = _NUMBER.search(line), _NOT_A_NUMBER.search(line)
@@ -229,8 +229,8 @@ def parse_line(line: bytes) -> float | None:
 class TextReadings:
     """Parser of readings in lines of text.
 
-    It ignores the first line, whose start may be missing, and the first reading after bytes that
-    are not text, as noise contains digits, too.
+    It ignores the first line, whose start can be missing, and the first reading after bytes that
+    are not text, because noise can contain digits, too.
     """
 
     def __init__(self) -> None:
@@ -264,7 +264,7 @@ class TextReadings:
         return readings
 
     def _read(self, line: bytes) -> list[float]:
-        """Return the reading of a whole line, if it is plausible."""
+        """Return the reading of a line in a list, which is empty without a trustworthy reading."""
         line = line.strip()
         if not line or (line.endswith(b":") and _TEXT.fullmatch(line)):
             return []
@@ -282,7 +282,7 @@ class TextReadings:
 
 
 class PacketReadings:
-    """Readings in packets of the sensors' own format."""
+    """Parser of readings in FORCE packets."""
 
     def __init__(self) -> None:
         self.garbled: int = 0
@@ -305,14 +305,14 @@ class PacketReadings:
         return [math.nan if value is None else float(value) for value in values]
 
 
-USUAL_BAUD = 921_600  # default speed of lines that have one; over USB it has no effect
+USUAL_BAUD = 921_600  # default speed of a serial line; it has no effect on USB devices
 _WAIT_S = 0.05  # longest single read
 _UNREADABLE_S = 1.5
-"""Time without a valid frame from the start, after which the device is no sensor."""
+"""Time from the start after which a device without any valid frame is not a sensor array."""
 
 
 def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -> LiveSource:
-    """Open ``serial-array:PORT``: a device, ``tcp://HOST:PORT``, or any URL that pyserial knows."""
+    """Open ``serial-array:PORT``. The port is a device, ``tcp://HOST:PORT`` or a pyserial URL."""
     if not rest:
         raise SourceError("serial-array: has no port: give one, as in serial-array:/dev/ttyACM0")
     if baud is not None and baud < 1:
@@ -321,7 +321,7 @@ def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -
 
 
 class SerialArrayDevice(ImageDevice):
-    """Frames from a serial line, with counts of complete and lost ones and of garbled pieces."""
+    """Sensor array on a serial line, with counts of complete and lost frames and of bad packets."""
 
     def __init__(self, port: str, baud: int = USUAL_BAUD) -> None:
         self.title: str = f"serial array {port}"
@@ -337,12 +337,12 @@ class SerialArrayDevice(ImageDevice):
         self._warnings = DeviceWarnings(self.notes)
 
     def open(self) -> None:
-        """Open the port. Earlier bytes are discarded at the first `grab`."""
+        """Open the port. The first `grab` discards the bytes that arrived before."""
         self._port = open_port(self._name, self._baud, _WAIT_S, SourceError)
         self._listening_since_ns = None
 
     def grab(self, timeout_s: float) -> Shot | None:
-        """Return the newest frame of the next read that has any; None at the time limit."""
+        """Read until a frame is complete, and return the newest one; None after ``timeout_s``."""
         port = self._port
         assert port is not None
         if self._listening_since_ns is None:
@@ -365,7 +365,7 @@ class SerialArrayDevice(ImageDevice):
 
     def _begin(self, port: Port) -> None:
         with contextlib.suppress(*LINE_ERRORS):
-            # A failure here occurs again in the first read.
+            # Ignore a failure here: it recurs in the first read, which reports it.
             port.reset_input_buffer()
         self._stream = MessageStream()
         # Frames sent before the port was opened do not count as lost.
@@ -373,7 +373,7 @@ class SerialArrayDevice(ImageDevice):
         self._listening_since_ns = time.perf_counter_ns()
 
     def _take(self, data: bytes) -> Shot | None:
-        """Return the newest of the frames completed by these bytes."""
+        """Return the newest of the frames that these bytes complete, or None."""
         self._received += len(data)
         newest, frames, broken = None, 0, self._stream.broken
         for message in self._stream.feed(data):
@@ -396,7 +396,7 @@ class SerialArrayDevice(ImageDevice):
             self._warnings.put(cause, f"{self.title}: {words}: {count}")
 
     def _require_frames(self) -> None:
-        """Raise if bytes have arrived for a while, and never a frame."""
+        """Raise SourceError if bytes, but no frame, have arrived within `_UNREADABLE_S`."""
         assert self._listening_since_ns is not None
         listened_s = (time.perf_counter_ns() - self._listening_since_ns) / 1e9
         if self._received and not self.frames and listened_s > _UNREADABLE_S:

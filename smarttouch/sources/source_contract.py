@@ -1,4 +1,4 @@
-"""Base classes of sources, with stimuli and warnings."""
+"""Base classes of sources, their stimuli and warnings, and checks of the inputs they return."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -32,9 +32,9 @@ class Stimulus(TactileImage):
     activation, time_ns, force_n, level
         See `TactileImage`; the force is NaN if unknown.
     pose, number, age_ns, stale, period_us
-        See `Frame`; equal numbers mean the same place or part of the source.
+        See `Frame`. Stimuli with equal numbers come from the same part of the source.
     image : ndarray, (H, W) uint8, optional
-        Gray levels under the finger, for display.
+        Gray levels under the finger, for display only.
     """
 
     pose: Pose = field(default=Pose(0.0, 0.0))
@@ -44,11 +44,11 @@ class Stimulus(TactileImage):
     image: NDArray[np.uint8] | None = None
 
 
-Input = Frame | Stimulus  # input of a run, read for each sequence
+Input = Frame | Stimulus  # a run reads one input from its source for each sequence
 
 
 class Device(Closing):
-    """Base of sources and forces, which have notes for the user and can be closed.
+    """Base class of sources and of sources of force, with notes for the user.
 
     Parameters
     ----------
@@ -58,9 +58,9 @@ class Device(Closing):
     Attributes
     ----------
     url : str
-        URL by which it was opened.
+        URL by which the source was opened, or "".
     notes : list of str
-        Warnings after a run, one sentence each.
+        Warnings for the user, one sentence each.
     """
 
     def __init__(self, title: str) -> None:
@@ -73,14 +73,14 @@ class Device(Closing):
 
 
 class DeviceWarnings:
-    """List of warnings in which a new warning replaces the earlier one with the same cause."""
+    """List of warnings in which a new warning replaces an earlier one with the same cause."""
 
     def __init__(self, notes: list[str]) -> None:
         self._notes = notes
         self._places: dict[str, int] = {}
 
     def put(self, cause: str, sentence: str) -> None:
-        """Set the warning for a cause."""
+        """Add or replace the warning for a cause."""
         if cause in self._places:
             self._notes[self._places[cause]] = sentence
         else:
@@ -90,9 +90,9 @@ class DeviceWarnings:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """Page or line under the finger: its picture, and its place in the coordinates of poses.
+    """Page or line under the finger, with its position in the coordinates of `Pose`.
 
-    ``number`` changes with the picture; ``corner_mm`` is the top left corner.
+    ``number`` changes with the page or line; ``corner_mm`` is its top left corner.
     """
 
     number: int
@@ -101,39 +101,39 @@ class Sheet:
 
 
 class Pointer(Protocol):
-    """Part of a source that follows the pointer over the `sheet` in a window."""
+    """Part of a source that follows the mouse pointer over the `Source.sheet` in a window."""
 
     is_shown: bool
 
     def move(self, x_mm: float, y_mm: float) -> None:
-        """Move to a place on the sheet. Raises ValueError outside of it."""
+        """Move to a position on the sheet. Raises ValueError outside of the sheet."""
 
 
 class Source(Device, ABC):
-    """Base of all sources.
+    """Base class of all sources.
 
-    At the end ``frames`` is the number of distinct inputs read plus ``dropped_frames``.
+    After a run, ``frames`` must be the number of different inputs read plus ``dropped_frames``.
     """
 
     duration_s: float | None = None
-    """Duration; None if endless."""
+    """Duration of the source, s; None if the source is endless."""
     ended: ClassVar[str] = "the source has ended"
-    """Message at the end."""
+    """Message of a run that ends because the source has ended."""
     emit: Emit = staticmethod(lambda _event: None)
     """Function that receives events of the source; set by the run."""
     afferents: tuple[Afferent, ...] = tuple(Afferent)
     """Classes that the next input may stimulate; set by the run."""
     knows_force: bool = False
-    """Whether inputs contain the force."""
+    """Whether inputs contain the finger force."""
     measures_force: bool = False
-    """Whether that force is measured on a finger during the run. Any other force is used only on
-    boards that no finger can touch."""
+    """Whether the force in inputs is measured on a finger during the run. Any other force is used
+    only on boards that no finger can touch."""
     frames: int = 0
-    """Number of distinct frames or stimuli delivered."""
+    """Number of different frames or stimuli until now, read or dropped."""
     dropped_frames: int = 0
     """Number of frames or stimuli that were never read."""
     pointer: Pointer | None = None
-    """Part that follows the pointer in a window, if any."""
+    """Part that follows the mouse pointer in a window, if the source has one."""
     fixed_mode: ClassVar[bool] = False
     """Whether the source, instead of the user, chooses the classes to stimulate."""
     notes_told: int = 0
@@ -141,36 +141,36 @@ class Source(Device, ABC):
     settings: Mapping[str, Any] = MappingProxyType({})
     """Default settings of `RunConfig` for this source."""
     keys_help: ClassVar[str] = ""
-    """Help text for the keys."""
+    """Help text for `keys`."""
 
     @property
     def sheet(self) -> Sheet | None:
-        """Return the page or line under the finger, if known; from any thread."""
+        """Return the page or line under the finger, if known. Any thread may read it."""
         return None
 
     @property
     def words(self) -> str:
-        """Return the current text, if known."""
+        """Return the text under the finger; empty if unknown."""
         return ""
 
     @property
     def account(self) -> str:
-        """Return a summary of what was delivered, for users who cannot see it; empty if unknown."""
+        """Return a summary of the run in words, for users who cannot see it; empty if unknown."""
         return ""
 
     def tell_notes(self, time_ns: int) -> None:
-        """Report new notes."""
+        """Emit an event for each of `notes` that has not been reported yet."""
         for words in self.notes[self.notes_told :]:
             self.emit(Advice(time_ns, words))
             self.notes_told += 1
 
     def narrowed(self, profile: Profile) -> Profile:
-        """Return a copy of the profile for this source, never with wider limits."""
+        """Return the profile to use with this source; its limits must not be wider."""
         return profile
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """Functions by key, callable from any thread."""
+        """Functions by the key that calls them; any thread may call them."""
         return {}
 
     @abstractmethod
@@ -179,27 +179,27 @@ class Source(Device, ABC):
 
 
 class OpticalSource(Source):
-    """Base of sources of frames, which imaging converts to tactile images."""
+    """Base class of sources of frames, which imaging converts to tactile images."""
 
     @abstractmethod
     def read(self, time_ns: int) -> Frame | None:
-        """Return the frame at ``time_ns`` since the start; None at the end."""
+        """Return the frame at ``time_ns`` since the start of the run; None at the end."""
 
 
 class StimulusSource(Source):
-    """Base of sources of stimuli, which also choose the classes."""
+    """Base class of sources of stimuli, which also choose the classes to stimulate."""
 
     fixed_mode = True
 
     @abstractmethod
     def read(self, time_ns: int) -> Stimulus | None:
-        """Return the stimulus at ``time_ns`` since the start; None at the end."""
+        """Return the stimulus at ``time_ns`` since the start of the run; None at the end."""
 
 
 def checked_input(given: Any, who: object, electrodes: int) -> Input:
-    """Check the frame or stimulus that a source ``who`` returned.
+    """Return the frame or stimulus ``given`` by the source ``who``, with valid array types.
 
-    Raises SourceError if it is anything else or invalid.
+    Raises SourceError if ``given`` is invalid or of another type.
     """
     if isinstance(given, Frame):
         image = given.image
@@ -217,8 +217,8 @@ def checked_input(given: Any, who: object, electrodes: int) -> Input:
 def gray_image(image: Any, who: object) -> NDArray[np.uint8]:
     """Convert a bool, gray, RGB or RGBA image to gray levels, (H, W) uint8, 0 is black.
 
-    Transparent images get a background on which they are visible. Raises SourceError for other
-    types and shapes, for which the value of white is unknown.
+    Transparent images get a background on which they are visible. Raises SourceError for images of
+    other types and shapes, because their value of white is unknown.
     """
     if not (
         isinstance(image, np.ndarray)
@@ -234,8 +234,8 @@ def gray_image(image: Any, who: object) -> NDArray[np.uint8]:
 
 
 def checked_activation(activation: Any, who: object, electrodes: int) -> NDArray[np.float32]:
-    """Return an activation as (3, E) float32. Raises SourceError unless all numbers are in [0,
-    1]."""
+    """Return an activation as (3, E) float32. Raises SourceError if its shape is another or numbers
+    are outside of [0, 1]."""
     shape = len(Afferent), electrodes
     if (
         not isinstance(activation, np.ndarray)
@@ -259,7 +259,7 @@ Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]  # accepted by `
 
 
 class Images(OpticalSource):
-    """Successive images, one for each sequence, at full force."""
+    """Source of images from Python, one for each sequence, with the force of full intensity."""
 
     frames: int
     knows_force = True
@@ -292,8 +292,8 @@ _OF_THE_SOURCE = (
 
 
 class OwnImaging(StimulusSource):
-    """Stimuli that a function computes from the frames of an optical source; recordings contain
-    both."""
+    """Source of stimuli that a user's function computes from frames. Stimuli keep the image of the
+    frame, so that recordings contain both."""
 
     def __init__(self, source: Source, imaging: Imaging, profile: Profile) -> None:
         super().__init__(source.title)
@@ -303,7 +303,7 @@ class OwnImaging(StimulusSource):
         self._who = getattr(imaging, "__qualname__", type(imaging).__name__)
 
     def read(self, time_ns: int) -> Stimulus | None:
-        """Return the function's stimulus for the next frame; None at the end."""
+        """Return the stimulus that the function computes from the next frame; None at the end."""
         source_frame = self._source.read(time_ns)
         self._count()
         if source_frame is None:
@@ -312,7 +312,7 @@ class OwnImaging(StimulusSource):
         frame = checked_input(source_frame, self._source, electrodes)
         if not isinstance(frame, Frame):
             raise SourceError(
-                f"{self.title} delivers tactile images, which need no imaging: leave it out"
+                f"{self.title} delivers stimuli, not frames: leave out the imaging function"
             )
         activation = self._imaging(frame, self._electrodes)
         return Stimulus(
@@ -323,12 +323,12 @@ class OwnImaging(StimulusSource):
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """Keys of the source."""
+        """Keys of the source of frames."""
         return self._source.keys
 
     @property
     def emit(self) -> Emit:
-        """Function that receives events of the source."""
+        """Function that receives events of the source of frames."""
         return self._source.emit
 
     @emit.setter
@@ -336,7 +336,7 @@ class OwnImaging(StimulusSource):
         self._source.emit = emit
 
     def close(self) -> None:
-        """Close the source."""
+        """Close the source of frames, and copy its notes."""
         self._source.close()
         self._count()
         self.notes: list[str] = self._source.notes

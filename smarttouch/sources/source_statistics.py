@@ -1,4 +1,4 @@
-"""Statistics of a source of frames or force over some seconds."""
+"""Measurement of the frame rate, age and values of a source for ``smarttouch devices show``."""
 
 import time
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source
 
-READ_HZ = 100.0  # rate at which a source is read
+READ_HZ = 100.0  # number of reads per second
 
 
 def sample_source(source: Source, seconds: float) -> list[tuple[str, str]]:
@@ -25,7 +25,7 @@ def sample_source(source: Source, seconds: float) -> list[tuple[str, str]]:
         ("source", source.title),
         ("frames", f"{source.frames}, {source.frames / lasted_s:.1f} a second"),
         ("read", f"{source.frames - source.dropped_frames}, polled at {READ_HZ:g} Hz"),
-        ("passed over", str(source.dropped_frames)),
+        ("dropped", f"{source.dropped_frames}, never read"),
     ]
     if frames:
         image, pose = frames[-1].image, frames[-1].pose
@@ -37,7 +37,7 @@ def sample_source(source: Source, seconds: float) -> list[tuple[str, str]]:
         moved = f"x {pose.x_mm:.2f} mm, y {pose.y_mm:.2f} mm"
         rows += [
             ("age", f"{np.median(age_ms):.1f} ms, at most {age_ms.max():.1f}"),
-            ("at", moved + (", stale" if frames[-1].stale else "")),
+            ("position", moved + (", stale" if frames[-1].stale else "")),
         ]
     return [*rows, ("force", _range(np.array([frame.force_n for frame in frames])))]
 
@@ -47,14 +47,14 @@ def sample_force(source: ForceSource, seconds: float) -> list[tuple[str, str]]:
     force_n = np.array([source.read(time_ns) for time_ns in _ticks(seconds)])
     unknown = int(np.isnan(force_n).sum())
     return [
-        ("force of", source.title),
+        ("source", source.title),
         ("force", _range(force_n)),
         ("unknown", f"{unknown} of {len(force_n)} reads"),
     ]
 
 
 def _ticks(seconds: float) -> Iterator[int]:
-    """Yield nanoseconds since the first read, each at its time."""
+    """Yield the time of each read since the first, ns; wait until the read is due."""
     yield 0
     start_ns = time.perf_counter_ns()
     for count in range(1, round(seconds * READ_HZ) + 1):

@@ -1,4 +1,4 @@
-"""Videos and folders of images, at their frame rate or as fast as they are read."""
+"""Videos and folders of images as sources, at their frame rate or one image for each read."""
 
 import contextlib
 import itertools
@@ -32,12 +32,12 @@ SUFFIXES = (
 )  # fmt: skip
 _FEWEST_PIXELS = 2
 _MOST_PIXELS = 80_000_000
-MOST_DECODED = 8  # number of images behind schedule above which images are skipped without decoding
-_MISSING = 0.05  # accepted share of missing frames: containers only estimate their number
+MOST_DECODED = 8  # a source that is this number of images late skips images without decoding
+_MISSING = 0.05  # accepted share of missing frames: containers state an estimate of their number
 _TEXT = cv2.VideoWriter.fourcc(*"ansi")
-# Suppress the decoder's messages; it reads this when the process opens its first video.
+# Suppress messages of FFmpeg, which reads this variable when the process opens its first video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-# Forbid playlists, which could open other files, pipes and addresses.
+# Exclude playlists, because they could open other files, pipes and addresses.
 os.environ.setdefault(
     "OPENCV_FFMPEG_CAPTURE_OPTIONS",
     "protocol_whitelist;file|format_whitelist;3gp,asf,avi,flv,gif,h264,hevc,ivf,m4v,matroska,mjpeg,"
@@ -52,8 +52,8 @@ Image = NDArray[np.uint8]  # gray, (H, W)
 class Clip:
     """Sequence of images that can be read once.
 
-    Each item is a function that decodes the image, or returns None if it is damaged. ``count`` is
-    the number of images, often an estimate for videos; 0 if unknown.
+    Each item of ``images`` is a function that decodes an image, or returns None if it is damaged.
+    ``count`` is the number of images, often an estimate for videos; 0 if unknown.
     """
 
     title: str
@@ -65,7 +65,7 @@ class Clip:
 
 
 def video_clip(path: Path) -> Clip:
-    """Open a video by OpenCV."""
+    """Open a video with OpenCV."""
     _require_file(path)
     silence_opencv()
     capture = cv2.VideoCapture(str(path))
@@ -90,7 +90,7 @@ def video_clip(path: Path) -> Clip:
 
 
 def _grabbed(capture: cv2.VideoCapture, clip: Clip) -> Iterator[Callable[[], Image | None]]:
-    """Yield the images of a video; add a note if it breaks off."""
+    """Yield a decoding function for each image of a video; add a note if the video ends early."""
     converter, read = GreyConverter(), 0
 
     def decode() -> Image | None:
@@ -106,7 +106,7 @@ def _grabbed(capture: cv2.VideoCapture, clip: Clip) -> Iterator[Callable[[], Ima
             yield decode
     if clip.count - read > max(1, _MISSING * clip.count):
         clip.notes.append(
-            f"{clip.title} breaks off: {read} of its {clip.count} frames could be read"
+            f"{clip.title} ends early: only {read} of its {clip.count} frames could be read"
         )
 
 
@@ -156,7 +156,7 @@ def _images(folder: Path) -> list[Path]:
 
 def _natural(file: Path) -> list[tuple[int, int, str]]:
     parts = re.findall(r"([0-9]+)|([^0-9]+)", file.name)
-    # The name itself decides between names that differ only in leading zeros.
+    # Sort names that differ only in leading zeros by the complete name.
     return [(0, int(digits), "") if digits else (1, 0, text) for digits, text in parts] + [
         (2, 0, file.name)
     ]
@@ -187,7 +187,7 @@ def _require_pixels(file: Path, width: int, height: int) -> None:
 
 def open_video(rest: str, profile: Profile, *, unpaced: bool = False) -> OpticalSource:
     """Open ``video:FILE``, a video that OpenCV can read. With ``unpaced``, each read returns the
-    next frame."""
+    next image instead of the one that is due."""
     return ClipSource(video_clip(Path(rest)), profile, unpaced)
 
 
@@ -196,7 +196,7 @@ def open_frames(
 ) -> OpticalSource:
     """Open ``frames:DIR``, a folder of images of one size, in natural order of their names.
 
-    ``fps`` defaults to 30. With ``unpaced``, each read returns the next image.
+    ``fps`` defaults to 30. With ``unpaced``, each read returns the next image instead.
     """
     rate_hz = USUAL_HZ if fps is None else fps
     words = f"a rate of {rate_hz:g} images a second"
@@ -205,11 +205,10 @@ def open_frames(
 
 
 class ClipSource(OpticalSource):
-    """Returns the image of a clip that is due, or with ``unpaced`` the next one.
+    """Source of the image of a clip that is due, or of the next one with ``unpaced``.
 
-    Images in between count as dropped, but are decoded to measure motion, unless the source is far
-    behind.
-    """
+    Skipped images count as dropped. They are still decoded to measure the motion, unless reads come
+    too late by `MOST_DECODED` images."""
 
     ended = "end of the clip"
     duration_s: float | None
@@ -227,7 +226,7 @@ class ClipSource(OpticalSource):
             self.duration_s = clip.count / clip.rate_hz
 
     def read(self, time_ns: int) -> Frame | None:
-        """Return the frame at a time since the start of the run; None at the end."""
+        """Return the frame at ``time_ns`` since the start of the run; None at the end."""
         due = self.frames if self._unpaced else int(time_ns * self._clip.rate_hz / 1e9)
         while self.frames <= due and not self._is_over:
             self._take(far_behind=due - self.frames >= MOST_DECODED)
@@ -239,13 +238,13 @@ class ClipSource(OpticalSource):
         return replace(self._frame, time_ns=time_ns, age_ns=age_ns)
 
     def _take(self, far_behind: bool) -> None:
-        """Take the next image; skip it without decoding if far behind."""
+        """Advance to the next image, without decoding it if ``far_behind``."""
         decode = next(self._clip.images, None)
         image = None if decode is None or far_behind else decode()
         if decode is None or (image is None and not far_behind):
             self._is_over = True
             if decode is not None:
-                self.notes.append(f"{self.title} breaks off: image {self.frames} is damaged")
+                self.notes.append(f"{self.title} ends early: image {self.frames} is damaged")
             return
         self.dropped_frames += self._is_unread
         self._is_unread = image is not None

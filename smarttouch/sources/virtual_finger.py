@@ -31,7 +31,7 @@ SETTLE_S = 0.75  # rest at the start of a line
 LIFT_S = 0.15
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
 _PRESS = 1.1  # reading force, relative to the profile's full force
-_STEP_MM = 2.0  # distance between points of a path, small against the bend of lines
+_STEP_MM = 2.0  # distance between points of a path, much smaller than the bends of lines
 _COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
 
 
@@ -39,7 +39,7 @@ class FingerPath(NamedTuple):
     """Path of a finger over a page."""
 
     table: Floats  # (5, N): time s, x mm, y mm, angle rad, force N
-    lines: tuple[TextLine, ...] = ()  # lines that it follows, if any
+    lines: tuple[TextLine, ...] = ()  # lines of text that the path follows, if any
 
     @property
     def duration_s(self) -> float:
@@ -49,10 +49,10 @@ class FingerPath(NamedTuple):
 def reading_path(
     page: Page, profile: Profile, speed_mm_s: float, light_on_dark: bool = False
 ) -> FingerPath:
-    """Return a path along the lines of a page, or in parallel strips if there are none."""
+    """Return a path along the lines of a page, or along parallel strips if it has no lines."""
     require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
     field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
-    # Detect light print even if not requested: otherwise the dark gaps would be read.
+    # Detect light print even if not requested: otherwise the path would follow the dark gaps.
     lines = find_lines(page, light_on_dark or None) or [_printed(page, light_on_dark)]
     sweeps = tuple(sweep for line in lines for sweep in _sweeps(line, field[1]))
     rows: list[tuple[float, float, float, float, float]] = []
@@ -97,7 +97,7 @@ def _printed(page: Page, light_on_dark: bool) -> TextLine:
 
 def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
     """Divide a line that is taller than the sensor's field into parallel strips."""
-    # Tolerate ascenders slightly beyond the field.
+    # Tolerate lines, for example with ascenders, that exceed the field by up to 15 %.
     count = max(1, math.ceil(line.height_mm / height_mm - 0.15))
     step = line.height_mm / count
     return [
@@ -113,7 +113,7 @@ def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
 
 def _middle_path(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Return x, y and angle of a finger along the middle of a line, and the distance covered."""
-    # The finger rests on the first letters, so that their pulses raise the intensity.
+    # Begin on the first letters: intensity rises only while pulses are delivered.
     start, end = line.left_mm, line.right_mm + field_mm / 2
     x = np.linspace(start, end, max(2, math.ceil((end - start) / _STEP_MM)))
     y = line.baseline_mm(x) + (line.descent_mm - line.ascent_mm) / 2
@@ -126,16 +126,16 @@ BLUR_MM = 0.06  # standard deviation of optical blur
 NOISE_LEVELS = 2.0  # standard deviation of read noise, gray levels
 USUAL_MM_S = 40.0
 READER_MM_S = 7.0
-"""About 30 words a minute on the sample page: its 20 words take 39 s."""
+"""Speed at which the 20 words of the sample page take 39 s: about 30 words a minute."""
 AGAIN_S = 1.0  # pause of the lifted finger before it reads the page again
 MOST_PASSES = 10_000
 _SHADE = 0.1  # relative loss of light at the corners (vignetting)
 _SLOPE = 0.03
 _PRINT_MM, _USUAL_PRINT_MM = (1.5, 9.0), 3.7
-"""Plausible heights of lines, ascender to descender, on a page of assumed size; and the height of
-11 points, to which others are scaled."""
+"""Plausible heights of lines, ascender to descender; and the height of 11 points, to which a page
+of assumed size is scaled if its lines have another height."""
 _CHOSEN_DPI = (97.0, 700.0)
-"""Range of plausible resolutions stated by images; others are defaults of programs."""
+"""Range of resolutions that images state on purpose; others are mostly defaults of programs."""
 _MARGIN_MM = 4.0
 _MOST_PIXELS = 60_000_000
 
@@ -153,11 +153,11 @@ def open_page(
     passes: int = 1,
     password_file: str | None = None,
 ) -> "PageSource":
-    """Open ``page:FILE``; options are those of `PageSource`, scale, number of passes and password.
+    """Open ``page:FILE``, the first page of a document or image, for a virtual finger.
 
-    A sheet on a photograph is rectified. Ink is detected once on the complete page, which is more
-    reliable than in single frames.
-    """
+    The options are those of `load_or_guess`, `PageSource` and its method `repeat`. A sheet on a
+    photograph is rectified. Ink is detected on the complete page, which is more reliable than in
+    single frames."""
     notices: list[str] = []
     page, assumed = load_or_guess(Path(rest), dpi, page_width_mm, notices.append, password_file)
     if assumed:
@@ -168,7 +168,7 @@ def open_page(
     corners = None if path is not None or light_on_dark else find_sheet(page.grey)
     if corners is not None:
         flat = flattened(page.grey, corners)
-        # A given or assumed width is the width of the sheet.
+        # A stated or assumed width is that of the sheet, not that of the photograph.
         of_sheet = page_width_mm is not None or assumed
         page = Page(flat, page.size_mm[0] / flat.shape[1] if of_sheet else page.mm_per_pixel)
         notices.append(LAID_FLAT)
@@ -178,8 +178,8 @@ def open_page(
     print_mm = float(np.median([line.height_mm for line in lines])) if lines else _USUAL_PRINT_MM
     if not _PRINT_MM[0] < print_mm < _PRINT_MM[1]:
         page = Page(page.grey, page.mm_per_pixel * _USUAL_PRINT_MM / print_mm)
-        as_usual = f"as 11 points, {page.size_mm[0]:.0f} mm wide"
-        notices.append(f"its print would be {print_mm:.1f} mm high: {as_usual}")
+        scaled = f"the page is scaled to 11 points, {page.size_mm[0]:.0f} mm wide"
+        notices.append(f"its print would be {print_mm:.1f} mm high: {scaled}")
     title, notice = Path(rest).name, "; ".join(notices)
     source = PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark, notice)
     source.repeat(passes)
@@ -193,9 +193,9 @@ def load_or_guess(
     note: Callable[[str], None],
     password_file: str | None = None,
 ) -> tuple[Page, str]:
-    """Load a page; return it with a warning if its scale is guessed or doubtful.
+    """Load the first page of a file. Return a warning, too, if its scale is guessed or doubtful.
 
-    A text is printed; ``note`` is told of omitted parts.
+    A text file is drawn as a printed page; ``note`` is called with warnings about omitted parts.
     """
     kind = file_kind(path) if path.is_file() else None
     if kind is FileKind.STRUCTURED:
@@ -217,9 +217,8 @@ def load_or_guess(
 def password_of(path: Path, password_file: str | None = None) -> str | None:
     """Return the password of a document, or None if it needs none.
 
-    It is the first line of a file, or of standard input for ``-``; the default is to ask at the
-    terminal.
-    """
+    Read the first line of ``password_file``, or of standard input for ``-``. Without a file, ask at
+    the terminal."""
     if password_file is None:
         try:
             Document(path).close()
@@ -247,7 +246,7 @@ def open_text(
     light_on_dark: bool = False,
     passes: int = 1,
 ) -> "PageSource":
-    """Open ``text:STRING``, a page with the printed text."""
+    """Open ``text:STRING``, a page on which the text is printed, for a virtual finger."""
     page = print_text(rest)
     source = PageSource(page, profile, "printed text", seed, speed_mm_s, path, light_on_dark)
     source.text = rest
@@ -256,9 +255,9 @@ def open_text(
 
 
 class PageSource(OpticalSource):
-    """Frames of a finger that moves over a page line by line, or along a recorded path.
+    """Source of the frames of a virtual finger that reads a page by lines or on a recorded path.
 
-    The seed is for noise; frames do not depend on the order of reads.
+    ``seed`` determines the noise of the sensor. Frames do not depend on the order of reads.
     """
 
     ended = "end of the page"
@@ -309,13 +308,13 @@ class PageSource(OpticalSource):
         return self.text
 
     def repeat(self, passes: int) -> None:
-        """Let the finger read the page this many times; 0 means endlessly."""
+        """Set the number of times that the finger reads the page; 0 means endlessly."""
         require_within(SourceError, "passes", passes, 0, MOST_PASSES)
         lasts_s = self._lasts_s
         self.duration_s = (passes - 1) * (lasts_s + AGAIN_S) + lasts_s if passes else None
 
     def read(self, time_ns: int) -> Frame | None:
-        """Return the frame at a time since the start of the run; None after the end of the path."""
+        """Return the frame at ``time_ns`` since the start of the run; None after the last pass."""
         if self.duration_s is not None and time_ns / 1e9 > self.duration_s:
             return None
         time_s, lasts_s = time_ns / 1e9, self._lasts_s
@@ -324,7 +323,7 @@ class PageSource(OpticalSource):
         *place, force_n = map(float, map(partial(np.interp, at_s, table[0]), table[1:]))
         pose = Pose(*place)
         if again_s > lasts_s:
-            # The finger is lifted between two passes.
+            # The finger is lifted between two passes over the page.
             force_n = 0.0
         cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
         step_x, step_y = self._step
@@ -349,7 +348,7 @@ class PageSource(OpticalSource):
 
 
 def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, int]:
-    """Return the page blurred by the optics, its scale, and its margin."""
+    """Return the page blurred by the optics, its scale, mm per pixel, and its margin, pixels."""
     height, width = page.grey.shape
     scale = page.mm_per_pixel / finest_mm
     scale = min(scale, np.sqrt(_MOST_PIXELS / (height * width)))
