@@ -1,5 +1,5 @@
-"""Command ``python -m smarttouch.emulator URL``, for programs that start an emulator: does the same
-as ``smarttouch devices emulate``, but prints only the name of the port."""
+"""Command ``python -m smarttouch.emulator URL``, for programs that start an emulator. It does the
+same as ``smarttouch devices emulate URL``, but prints only the name of the port."""
 
 import sys
 

@@ -98,7 +98,7 @@ class TcpLine:
         return None
 
     def write(self, data: bytes) -> bytes:
-        """Write the bytes that fit into the buffer; return the rest. Drop all without a host."""
+        """Write the bytes that fit into the buffer; return the rest. Without a host, drop them."""
         return b"" if self._host is None else _write_available(self._host.fileno(), data)
 
 
@@ -106,7 +106,7 @@ class TcpLine:
 def replayed(path: Path | str) -> Iterator[str]:
     """Replay a recorded device during a ``with`` block, which gets the name of its port.
 
-    The end of the block raises BoardError with the first byte that differs from the recorded host.
+    At the end of the block, raises BoardError if a byte from the host differs from the recording.
     """
     with contextlib.closing(Replay(Path(path))) as replay, ThreadPoolExecutor(1) as pool:
         served = pool.submit(replay.serve)

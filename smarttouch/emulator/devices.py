@@ -33,7 +33,7 @@ SENSORS = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
 COUNTS_PER_N, ZERO_COUNTS = 50_000.0, 80_000.0  # scale and reading without force of a load cell
 _NOISE_COUNTS, _LARGEST_RAW = 60.0, 2**23 - 1
 _LONGEST_WAIT_S = 0.02
-_BEHIND_NS = 100_000_000  # longest delay for which a sensor makes up missed measurements
+_BEHIND_NS = 100_000_000  # after a longer delay, a sensor skips the measurements that it missed
 _BLOCK, _SIDE, _PATTERN_SIDE = 4, 64, 1024
 _PATTERN_PIXELS_S = 40
 _FIRST_HOST_S = 8.0  # a server waits for its first host for this time in addition to ``linger``
@@ -45,7 +45,7 @@ def emulate(url: str, advise: bool = False) -> None:
     """Emulate the device of a URL, or replay the file of a recorded line; print the port's name.
 
     Options of the URL are those of `emulate_board` or `emulate_sensor`. With ``advise``, print
-    instructions with the command that uses the port instead of its name.
+    instructions for the use of the port, not only its name.
     """
     if (recording := file_at(url)) is not None:
         with closing(Replay(recording)) as replay:
@@ -73,7 +73,7 @@ def emulate_board(
     books: Path | None = None,
     linger: float = math.inf,
 ) -> None:
-    """Emulate a board on a model of the skin until Ctrl-C, or for ``linger`` s without a host.
+    """Emulate a board on a model of the skin until Ctrl-C or ``linger`` seconds without a host.
 
     ``output`` and ``ramp_ms``, the shortest time from zero to full intensity, apply to link boards
     only, ``firmware`` to the eTactileKit only. With ``tcp``, the port is a TCP port. The module
@@ -109,7 +109,7 @@ def emulate_sensor(
     force: float = 0.5,
     linger: float = math.inf,
 ) -> None:
-    """Emulate a sensor until Ctrl-C, or for ``linger`` s without a host. ``rate`` is in Hz;
+    """Emulate a sensor until Ctrl-C or ``linger`` seconds without a host. ``rate`` is in Hz;
     ``force``, N, acts on an emulated load cell."""
     rate_hz = SENSORS[name] if rate is None else rate
     require_within(SmartTouchError, "rate", rate_hz, 0.01, 2000.0)
@@ -145,7 +145,7 @@ class Server:
         self._waiting = b""  # bytes that the line has not accepted yet
 
     def serve(self, linger_s: float, instructions: str = "") -> None:
-        """Print instructions or the port's name; run until SIGTERM, or ``linger_s`` without a host.
+        """Print instructions or the port's name; run until SIGTERM or ``linger_s`` without a host.
 
         With an infinite ``linger_s``, Ctrl-C ends the device. With a finite one, Ctrl-C is meant
         for the host, which then stops the board and closes the port; Ctrl-C ends the device only
@@ -185,7 +185,7 @@ class Server:
         books.write()
 
     def step(self, data: bytes | None, now_ns: int) -> None:
-        """Pass bytes from the host, None without a host, to the firmware; send its answers."""
+        """Pass ``data`` from the host (None without a host) to the firmware; send its answers."""
         firmware, had_host = self._firmware, self._hosted
         self._hosted = data is not None
         if data is None:
@@ -210,7 +210,7 @@ class Server:
 class SensorFirmware(Firmware):
     """Base class of sensors, which send measurements at fixed times on their clock."""
 
-    # The clock never stands still, because hosts compare it with their own.
+    # Never stop the clock of a sensor, because hosts compare it with their own clock.
     longest_step_ns: int = 2**63
     backlog = 1
 
@@ -241,7 +241,7 @@ class SensorFirmware(Firmware):
 
     @abstractmethod
     def packet(self, number: int, time_s: float) -> bytes:
-        """Return the message of measurement ``number``, ``time_s`` after the first."""
+        """Return the message with measurement ``number``, taken ``time_s`` after the first one."""
 
 
 class SensorArray(SensorFirmware):
@@ -263,8 +263,8 @@ class SensorArray(SensorFirmware):
 
 
 class EmulatedLoadCell(SensorFirmware):
-    """Load cell with its A/D converter under a constant force, N. Sends lines of text like an HX711
-    sketch, or FORCE packets if ``framed``."""
+    """Load cell with its A/D converter under a constant force, N. It sends lines of text like an
+    HX711 sketch, or FORCE packets if ``framed``."""
 
     def __init__(self, force_n: float, framed: bool = False, rate_hz: float = 80.0) -> None:
         from smarttouch.sources.serial_array import encode_force

@@ -68,7 +68,7 @@ class _DirectSession(LinkSession):
         self._firmware, self._now_ns, self._sent_ns = firmware, 0, 0
 
     def _listen(self) -> None:
-        """Start no thread: `_feed` processes the answers of each packet immediately."""
+        """Start no thread: `_feed` processes the answers to each packet immediately."""
         self.put, self.now_ns = self._feed, lambda: self._now_ns
 
     def now_s(self) -> float:
@@ -99,7 +99,7 @@ class _DirectSession(LinkSession):
 class SimulatedDriver(LinkDriver):
     """Driver of a ``link`` board that is emulated in the same thread, on a simulated clock:
     ``simulated:``. Firmware and packets are those of ``emulator:``. A sequence begins at its time
-    stamp or at the end of the previous sequence. `write` returns as soon as it has computed it."""
+    stamp or at the end of the previous sequence. `write` computes all pulses without waiting."""
 
     room: Room = Room()  # capacity of the board
     _session: _DirectSession
@@ -160,7 +160,7 @@ class SimulatedDriver(LinkDriver):
         """Return the simulated time at which a sequence with this time stamp begins, ns."""
         now_ns, before_ns, self._stamp_ns = self._session.now_ns(), self._stamp_ns, stamp_ns
         if not self._number or stamp_ns < before_ns:
-            # Begin the first sequence now, also after time stamps have restarted at zero.
+            # The first sequence begins now, as does one after a restart of the time stamps.
             self._ahead_ns = stamp_ns - now_ns
         gap_ns = stamp_ns - self._ahead_ns - now_ns
         self._ahead_ns += max(0, gap_ns - _LONGEST_GAP_NS)
@@ -173,7 +173,7 @@ class SimulatedDriver(LinkDriver):
 
 
 class MemoryDriver(Driver):
-    """Driver without a device: ``memory:``. It stores the sequences since `open` in a list."""
+    """Driver without a device: ``memory:``. It stores all sequences since `open` in a list."""
 
     def __init__(
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
@@ -256,7 +256,7 @@ class EmulatorProcess:
         # A new session, so that Ctrl-C in the terminal does not reach the board.
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
         self._begun_s, self._port = time.monotonic(), ""
-        # Ends the process when it is called, and when this object is deleted.
+        # Calling `end` or deleting this object ends the process.
         self.end: finalize[..., Any] = finalize(self, _end, self._process, os.getpid())
 
     @property
@@ -265,13 +265,13 @@ class EmulatorProcess:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the process is running, and will not end soon for lack of a first host."""
+        """Whether the process is running, and will not end soon because no host has connected."""
         waits = self._port or time.monotonic() < self._begun_s + _FIRST_HOST_S
         return self.end.alive and not self.has_ended and bool(waits)
 
     def port(self, line: Line) -> str:
-        """Return the name of the port, after the process has started. Raises if ``line`` is stopped
-        before."""
+        """Wait until the process has started, and return the name of its port. Raises if ``line``
+        is stopped during the wait."""
         if self.has_ended and self._port:
             raise BoardError("the process of the emulator has ended: open the board again")
         try:

@@ -1,8 +1,8 @@
 """Emulated firmware of the eTactileKit, with the bytes, scans and faults of the real firmware.
 
 The firmware checks nothing: a wrong byte causes a wrong current. It fixes the settings of a scan at
-its start; later commands apply to the next scan. A pulse of width 0 still lasts as long as
-switching the source on and off. The answer to READINGS has the last voltage of each electrode.
+its start; later commands apply to the next scan. A pulse of width 0 still lasts 6.6 µs, the time to
+switch the source on and off. The answer to READINGS has the last voltage of each electrode.
 
 The firmware of commit 71adee2 does not parse commands during a scan. If a scan takes longer than
 its period, the next scan follows immediately, and the parser never runs again. Without a host, this
@@ -50,7 +50,7 @@ class _Scan:
 
 
 class ETactileKitFirmware(KitFirmware):
-    """Firmware of the kit on a model of the skin. The delivery log has all outputs of the kit.
+    """Firmware of the kit on a model of the skin. The delivery log has the currents of all outputs.
     ``firmware`` is one of `FIRMWARES`; ``dummy_ohm`` is a load in parallel with the skin."""
 
     longest_step_ns = 400_000_000  # scans continue while this process is delayed for up to 0.4 s

@@ -49,7 +49,7 @@ class DeliveryLog:
     recharge phases, without discharge by shorting."""
     state: str = "shorted"
     reason: str = "start"
-    zero_after_ms: float = 0.0  # time from the host's last sign of life to the last zero
+    zero_after_ms: float = 0.0  # time from the host's last sign of life to the last zeroing
     stood_still_ms: float = 0.0  # total time for which `DeviceClock` stood still
     _delivered: bytearray = field(default_factory=bytearray, repr=False)
 
@@ -118,7 +118,7 @@ class DeliveryLog:
 
 
 def read_state(folder: Path) -> dict[str, object]:
-    """Read the counters that an emulator has last written to its folder."""
+    """Read the newest counters that an emulator has written to ``folder``."""
     state: dict[str, object] = json.loads((folder / STATE_FILE).read_text(encoding="utf-8"))
     return state
 

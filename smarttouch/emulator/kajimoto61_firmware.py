@@ -1,10 +1,10 @@
 """Emulated firmware of the 61-electrode ESP32 kit, with the bytes and faults of the real firmware.
 
 The firmware checks nothing, waits forever for the rest of an incomplete packet, and its readings
-overflow. From power-on until the first STIMULATE, it tests its current source without driving an
+wrap around. From power-on until the first STIMULATE, it tests its current source without driving an
 electrode, and answers MEASURE. The last value of the test stays in the D/A converter until the
-first pulse, even after a STIMULATE of zeros. If this is a pulse of STIMULATE, it therefore begins
-with the current of the test, until the converter has loaded its own value.
+first pulse, even after a STIMULATE of zeros. If STIMULATE causes this pulse, the pulse therefore
+begins with the current of the test, until the converter has loaded the value of the pulse.
 """
 
 from collections import deque
@@ -19,7 +19,7 @@ PACKET = 1 + ELECTRODES
 LARGEST = 200
 UA_PER_STEP = 16 * 10_000 / 4096  # a step is 16 DAC counts; 4096 counts are nominally 10 mA
 WIDTH_US, GROUNDED_US, SWITCHING_US = 50, 150, 8
-TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3  # last current of the self-test; time to load another
+TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3  # last current of the self-test; time to replace it
 MEASURE_UA, MEASURE_US = 2500, 25
 MEASURE_NS, WIRE_NS = 1_400_000, 670_000  # time from MEASURE to the reply; duration of the reply
 BUFFER = 384  # bytes buffered during a scan: 128 in the chip, 256 in its driver (an estimate)

@@ -44,7 +44,7 @@ class _PendingSequence:
     recharge_ns: int | None = None  # start of the recharge phase, until it is recorded
 
     def begin(self, start_ns: int, scan_end_ns: int) -> None:
-        """Begin a pass at ``start_ns``. If it continues a scan, it ends at ``scan_end_ns``."""
+        """Begin a pass. A pass that continues a scan ends at ``scan_end_ns`` or later."""
         sequence = self.sequence
         lengths = sequence.width_us + sequence.discharge_us
         self.done = 0
@@ -74,7 +74,7 @@ class LinkFirmware(Firmware):
     ) -> None:
         self._electrodes = electrodes = books.electrodes
         self._output, self.books = output, books
-        # Checking a sequence takes longer with more electrodes, and must not stop the clock.
+        # `DeviceClock` must tolerate the checks of sequences, which grow with the electrodes.
         self.longest_step_ns += 10_000 * electrodes
         self._room = room = room or Room()
         self._rules = LinkRules(electrodes, output, room, ramp_ms)
@@ -144,7 +144,7 @@ class LinkFirmware(Firmware):
             running = self._running
             recharge_ns = None if running is None else running.recharge_ns
             if recharge_ns is not None and recharge_ns <= self._executed_ns:
-                # The recharge phase has carried current until now; skip all other actions.
+                # The recharge phase has carried current until now; skip all other due actions.
                 self._executed_ns = now_ns
             self._end(Refusal.EMERGENCY, "emergency", now_ns)
             self._refuse(0, Refusal.EMERGENCY)
@@ -248,7 +248,7 @@ class LinkFirmware(Firmware):
         )  # fmt: skip
 
     def _recharge(self, table: _PendingSequence, until_ns: int) -> None:
-        """Execute the recharge phase; if ``until_ns`` interrupts it, only the part before."""
+        """Execute the recharge phase, but only until ``until_ns``, which can interrupt it."""
         sequence, start_ns = table.sequence, table.recharge_ns
         if sequence.recharge_ua is None or start_ns is None or until_ns <= start_ns:
             return
@@ -279,7 +279,7 @@ class LinkFirmware(Firmware):
                 refused = BrokenRule(Rule.NONE).nak(Refusal.EMERGENCY)
                 self._answers.append(session.refuse_begin(message, refused))
                 return
-            # A new session starts at zero.
+            # A new session starts with all electrodes at zero.
             session.begin(message)
             if self._running is not None:
                 self.zero("begin", now_ns)
@@ -340,7 +340,7 @@ class LinkFirmware(Firmware):
             self.books.violations += 1
 
     def _check(self, number: int, payload: bytes, now_ns: int) -> _PendingSequence | None:
-        """Decode and check a sequence. If it breaks a rule, send a NAK and return None."""
+        """Decode and check a sequence. If it is malformed or unsafe, send a NAK; return None."""
         try:
             sequence = decode_lists(payload, self._electrodes, self._output != "weighted")
         except ValueError:
@@ -350,7 +350,7 @@ class LinkFirmware(Firmware):
         if running is not None:
             # A part that continues a scan begins after the slots of the previous part.
             start_ns = max(now_ns, running.over_ns if sequence.goes_on else running.end_ns)
-        # Limit the ramp by real time, which the board's clock lags when it has stood still.
+        # The ramp follows real time, so add the time for which the board's clock stood still.
         real_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
         broken = self._rules.check(sequence, start_ns // 1000, real_us)
         if isinstance(broken, Load):

@@ -38,7 +38,7 @@ class BoardSession:
 
     def __init__(self, draw: Callable[[], int] = protocol.draw_half) -> None:
         self.state = 0  # state of the board, which it sends in each packet
-        self.number: int = 0  # 0 before the first session
+        self.number: int = 0  # number of the session; 0 before the first
         self.old: int = 0  # number of packets refused as old
         self.foreign: int = 0  # number of packets refused because they are from another session
         self.live: bool = False  # whether the session is open
@@ -47,7 +47,7 @@ class BoardSession:
         self._taken = self._said = 0
         self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // protocol.ALIVE_MS)
         """Time, ns, and number of each of the last ALIVE packets."""
-        self._hellos: dict[int, tuple[int, int]] = {}  # by host: last packet number, and count
+        self._hellos: dict[int, tuple[int, int]] = {}  # of each host: last number, HELLO count
 
     def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the next packet of the board in the session."""
@@ -56,7 +56,7 @@ class BoardSession:
         return protocol.encode(message)
 
     def encode_alive(self, payload: bytes, now_ns: int) -> bytes:
-        """Return the next ALIVE packet; store its time to find packets that confirm it late."""
+        """Return the next ALIVE packet; store its time, by which `_refusal_of` detects delays."""
         packet = self.encode(MessageKind.ALIVE, 0, payload)
         self._alive.append((now_ns, self._said))
         return packet
@@ -115,7 +115,7 @@ class BoardSession:
         return refusal
 
     def is_sign_of_life(self, head: bytes, began_ns: int, now_ns: int) -> bool:
-        """Return whether an incomplete packet is valid so far, and of a kind that can be long."""
+        """Return whether an incomplete packet is a sign of life: SEQUENCE and KERNELS are long."""
         message, early = decode_head(head), now_ns - began_ns <= protocol.LONGEST_PACKET_MS * _MS
         fresh = self._refusal_of(message, began_ns) is None
         return message.kind in (MessageKind.SEQUENCE, MessageKind.KERNELS) and early and fresh
@@ -123,7 +123,7 @@ class BoardSession:
     def _refusal_of(self, message: Message, began_ns: int) -> Refusal | None:
         if message.version != VERSION or not self.number or message.session != self.number:
             return Refusal.FOREIGN
-        # ALIVE packets that were sent too long ago: confirming only these is not enough.
+        # A packet is late if it confirms only these ALIVE packets, sent more than LATE_MS ago.
         stale = (number for sent_ns, number in self._alive if sent_ns < began_ns - LATE_MS * _MS)
         # STOP is never late: it must work even if the host receives nothing.
         late = message.kind != MessageKind.STOP and message.heard <= max(stale, default=-1)
@@ -177,7 +177,7 @@ class _Reader:
 
 
 def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSequence:
-    """Decode the payload of a SEQUENCE. Raises ValueError unless it is exactly one sequence."""
+    """Decode the payload of SEQUENCE. Raises ValueError unless this is exactly one sequence."""
     rest = _Reader(payload)
     first = rest.take(protocol.SEQUENCE.size)
     period_us, times, intensity, flags, count = protocol.SEQUENCE.unpack(first)
@@ -212,7 +212,7 @@ def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSeq
         heads.append(head)
         rows.append(row)
     if part and not slots:
-        raise ValueError("a part without slots")
+        raise ValueError("a part of a scan has no slots")
     kinds, shape, site, source_ua = np.concatenate(heads).T
     width_us, discharge_us = shapes[shape].T
     return ReceivedSequence(
@@ -284,7 +284,7 @@ class KernelStore:
         rest = _Reader(data)
         electrodes, count = _PAIR.unpack(rest.take(4))
         if protocol.digest_of(data) != self.identity or electrodes != of or count > self._most:
-            raise ValueError("another identity, other electrodes, or too many kernels")
+            raise ValueError("wrong identity, wrong number of electrodes, or too many kernels")
         weights, site = np.zeros((count, of), np.int16), np.zeros(count, np.uint16)
         for index in range(count):
             site[index], runs = _PAIR.unpack(rest.take(4))

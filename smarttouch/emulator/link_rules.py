@@ -63,8 +63,8 @@ class BrokenRule(NamedTuple):
 def first_above(
     rule: Rule, value: NDArray[np.int64] | int, allowed: Any, slot: int = NOTHING
 ) -> BrokenRule | None:
-    """Return a violation if a value exceeds the allowed one, else None. For values (E,), name the
-    first such electrode."""
+    """Return a violation if a value exceeds the allowed one, else None. For values (E,), the
+    violation names the first electrode."""
     values, allowed_each = np.broadcast_arrays(np.atleast_1d(value), allowed)
     if not len(over := np.flatnonzero(values > allowed_each)):
         return None
@@ -85,7 +85,7 @@ class Load(NamedTuple):
     pulses_us: int  # duration of all pulses and the recharge phase, without discharge
 
     def after(self, before: "Load") -> "Load":
-        """Return the load of both: this load follows ``before``."""
+        """Return the sum of this load and the load ``before`` it."""
         return Load(
             before.each + self.each, max(before.peak_ua, self.peak_ua),
             max(before.peak_pc, self.peak_pc), before.busy_us + self.busy_us,
@@ -163,8 +163,8 @@ class LastSecond:
         self.session: NDArray[np.int64] = self._none  # (3, E): sum of the loads of the session
 
     def begin(self, start_us: int, period_us: int, load: Load, goes_on: bool) -> None:
-        """Add a pass that begins at ``start_us``. Only the first part of a scan adds a start and a
-        period, not a part that goes on."""
+        """Add a pass that begins at ``start_us``. A part that continues a scan (``goes_on``) adds
+        no start and no period."""
         if not goes_on:
             self._starts_us.append(start_us)
             self.session_us += period_us * (load.busy_us > 0)
@@ -195,8 +195,8 @@ class LastSecond:
     def find_violation(
         self, start_us: int, sequence: ReceivedSequence, load: Load, limits: SessionLimits
     ) -> BrokenRule | None:
-        """Return the first limit of a second or of the session that a sequence from ``start_us`` on
-        and earlier passes exceed together, or None."""
+        """Return the first violation of a limit per second or per session, or None. The sequence
+        begins at ``start_us``; earlier passes count, too."""
         period_us, times, broken = sequence.period_us, sequence.times, None
         starts_us = range(start_us, start_us + min(times * period_us, SECOND_US), period_us)
         if load.busy_us:
@@ -238,7 +238,7 @@ def _most_net(window: NDArray[np.int64], net_pc: NDArray[np.int64]) -> NDArray[n
 
 
 class Ramp:
-    """Limit of the intensity, which rises while current flows, up to the strength of the sequence.
+    """Slew limit: intensity rises only while current flows, up to the strength of the sequence.
 
     ``ramp_ms`` is the shortest time from zero to full intensity; 0 turns off the ramp in tests.
     """
@@ -248,7 +248,7 @@ class Ramp:
         self.restart(ramp_ms)
 
     def restart(self, ramp_ms: int) -> None:
-        """Restart at zero, with the longer of ``ramp_ms`` and the board's own ramp."""
+        """Restart at zero intensity, with the longer of ``ramp_ms`` and the board's own ramp."""
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
         self._level = self._strength = self._since_us = self._span_us = 0
 
@@ -325,7 +325,7 @@ class LinkRules:
 
     def check(self, sequence: ReceivedSequence, start_us: int, real_us: int) -> BrokenRule | Load:
         """Compute the currents of kernels; return the first violation, or the load of a pass. The
-        first pass begins at ``start_us``, or ``real_us`` by a clock that never stands still."""
+        first pass begins at ``start_us`` (``real_us`` on a clock that never stands still)."""
         scan, limits = self._scan, self.limits
         if not sequence.goes_on:
             scan = _Scan(sequence, real_us, copy(self._ramp), self._none)
@@ -386,7 +386,7 @@ class LinkRules:
         missing: NDArray[np.int64],
         amplitude: NDArray[np.int64],
     ) -> BrokenRule | None:
-        """Return the first violation in the first slot with a violation, or None."""
+        """Return the first violation in the first slot that violates a rule, or None."""
         kind, switched = sequence.kind, self._output != "weighted"
         if switched:
             odd = (Rule.STATES, self._no_circuit(sequence.rows), 0 * kind, 0)

@@ -6,7 +6,7 @@ with a capacitance C_p. All electrodes meet in one node, the tissue::
     output ── R_s ──┬─ R_p ─┬── tissue
                     └─ C_p ─┘
 
-Currents and voltages are positive cathodic; the voltage of an electrode is against the tissue.
+Currents and voltages are positive cathodic; voltages of electrodes are relative to the tissue.
 
 An event of the finger is a text that begins with a time in seconds::
 
@@ -112,7 +112,7 @@ class SkinCircuit:
         steps = self._steps_of(width_us, *_CONSTANT)
         end = self._volts * steps.decay[0] + amps * steps.rise_ohm[0]
         drop = amps * self.series_ohm
-        # At constant current voltages are monotonic, so check only the start and the end.
+        # At constant current, voltages are monotonic: check only the start and the end.
         need = max(np.abs(drop + self._volts).max(), np.abs(drop + end).max())
         if need <= self.compliance_v:
             self._volts = end
@@ -189,7 +189,7 @@ class SkinCircuit:
         """
         if duration_us < 1e-6:
             return
-        # The limit is many time constants; the remaining charge is negligible.
+        # After the limit, which is many time constants, the remaining charge is negligible.
         level, steps = self._shorts_of(min(duration_us, _LONGEST_SHORT_US))
         for lost, share in steps:
             self._volts = self._volts + lost * (level * (share @ self._volts) - self._volts)
@@ -197,8 +197,9 @@ class SkinCircuit:
     def _find_shorts(
         self, duration_us: float
     ) -> tuple[NDArray[np.float64], list[tuple[NDArray[np.float64], NDArray[np.float64]]]]:
-        """Return, per electrode, the final voltage relative to the node's, and for each step the
-        share of the difference to it that decays, and the weight in the voltage of the node."""
+        """Return the final voltage of each electrode relative to that of the node. For each step,
+        return the share of the remaining difference that decays, and the weight of each electrode
+        in the voltage of the node."""
         series = 1 / self.series_ohm
         rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
         level = series / (rate * self.capacitance_f)
@@ -285,7 +286,7 @@ def parse_event(text: str) -> FingerEvent:
         form = f"TIME {kind} {FORMS[kind]}".strip()
         raise BoardError(f"event {text!r} has a wrong form: write {form}") from None
     if not all(0 <= number < math.inf for number in numbers.values()):
-        raise BoardError(f"event {text!r} is not valid: write numbers of at least 0, no infinity")
+        raise BoardError(f"event {text!r} is not valid: write finite numbers of at least 0")
     electrode = int(numbers.get("ELECTRODE", 0))
     return FingerEvent(numbers["TIME"], kind, electrode, numbers.get("NEWTON", FORCE_N))
 
