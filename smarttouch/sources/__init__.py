@@ -132,7 +132,7 @@ def source_of(given: Given, profile: Profile, *, light_on_dark: bool = False) ->
     Raises
     ------
     SourceError
-        If ``given`` is none of these, or cannot be opened.
+        If ``given`` is of none of these types, or cannot be opened.
     """
     if isinstance(given, Source):
         return given

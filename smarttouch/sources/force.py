@@ -93,8 +93,8 @@ SATURATED = (float(-(2**23)), float(2**23 - 1))
 class CellWatch:
     """Monitor of the readings of one load cell, which adds warnings to ``notes``.
 
-    ``presses`` returns whether a finger presses at a reading. Constant readings are a fault only
-    while a finger presses."""
+    ``presses`` returns whether a reading means that a finger presses. Constant readings are a fault
+    only while a finger presses."""
 
     def __init__(self, title: str, notes: list[str], presses: Callable[[float], bool]) -> None:
         self._title = title
@@ -130,7 +130,9 @@ class CellWatch:
         if garbled:
             times = "once" if garbled == 1 else f"{garbled} times"
             self._warnings.put(
-                "garbled", f"{self._title}: unreadable input {times}, the last was {last_garbled}"
+                "garbled",
+                f"{self._title}: unreadable input {times}, the last was {last_garbled}: check its "
+                "cable and line speed",
             )
 
     def lose(self, now_ns: int) -> None:
@@ -198,7 +200,7 @@ def open_load_cell(rest: str, profile: Profile) -> ForceSource:
 
 def open_cell(url: str) -> "LoadCell":
     """Open a load cell for raw readings, which are not converted to newtons."""
-    # Only a constant 0 is not a fault: sketches that subtract a tare send it without contact.
+    # A constant 0 is no fault, because sketches that subtract a tare send it without contact.
     return LoadCell(url, presses=lambda reading: reading != 0)
 
 

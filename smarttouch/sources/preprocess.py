@@ -18,7 +18,7 @@ from smarttouch.sources.source_contract import Pose
 
 DEAD_SHARE = 0.25  # response to light, relative to the median pixel, below which a pixel is dead
 HOT_LEVELS = 24.0  # gray levels above the median dark level at which a pixel is hot
-LEAST_SPAN = 40.0  # smallest difference of white paper and darkness, gray levels
+LEAST_SPAN = 40.0  # smallest difference between the gray levels of white paper and darkness
 SATURATED = 254.0
 MOST_SATURATED = 0.01
 MOST_BROKEN = 0.02  # largest share of broken pixels
@@ -218,7 +218,7 @@ class Matcher:
                 break
         if unexplained > MOST_UNEXPLAINED:
             return None
-        # A shift along edges is invisible: keep its components along visible gradients.
+        # A shift along edges is invisible: keep only the components across edges.
         x, y = (steep @ shift) @ steep
         return float(x), float(y)
 
@@ -253,8 +253,8 @@ class Matcher:
         return rest, float(rest @ rest) / rest.size / (contrast + _NOISE)
 
     def _begin(self) -> Shift | None:
-        """Return the start of the iteration, which is the last shift, zero or the peak of the
-        covariance, whichever correlates best; None if none correlates."""
+        """Choose the start of the iteration by correlation from the last shift, zero, and the peak
+        of the covariance. Return None if no correlation is positive."""
         far = _largest_covariance(self._before, self._image)
         best = max((self._correlation(by), by) for by in {far, self._last_shift, (0.0, 0.0)})
         return best[1] if best[0] > 0 else None

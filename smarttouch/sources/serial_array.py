@@ -1,4 +1,4 @@
-"""Sensor arrays and load cells on serial lines; their wire format, as a specification for firmware.
+"""Sensor arrays and load cells on serial lines, with the specification of their wire format.
 
 The device streams over a USB or other serial line; the host sends nothing. A packet is COBS-encoded
 and ends with one 0x00, so receivers resynchronize at the next zero. The decoded packet is little
@@ -17,7 +17,7 @@ type name  payload
 0x41 FRAME u8 rows H, u8 columns W, u32 device time µs, u8 pixels [H][W]: row
            by row from the top left, 0 black to 255 white, as seen on the page
 0x42 FORCE i32 reading of the load cell, u32 device time µs; the reading
-           −2147483648 means none
+           −2147483648 means that the device has no value
 ==== ===== ==================================================================
 
 Rules for the device:
@@ -88,7 +88,7 @@ class ArrayFrame:
 
 @dataclass(frozen=True)
 class CellReading:
-    """Reading of a load cell, as an integer; None if the device has no value."""
+    """Reading of a load cell in counts; None if the device has no value."""
 
     number: int
     time_us: int
@@ -239,7 +239,7 @@ class TextReadings:
         self.restart()
 
     def restart(self) -> None:
-        """Discard a partial reading: the line was interrupted."""
+        """Discard a partial reading after an interruption of the connection."""
         self._waiting = bytearray()
         self._skipping = True
         self._in_doubt = False
@@ -290,7 +290,7 @@ class PacketReadings:
         self.restart()
 
     def restart(self) -> None:
-        """Discard a partial reading: the line was interrupted."""
+        """Discard a partial reading after an interruption of the connection."""
         self._stream = MessageStream()
 
     def feed(self, data: bytes) -> list[float]:

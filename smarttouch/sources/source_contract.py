@@ -34,7 +34,7 @@ class Stimulus(TactileImage):
     pose, number, age_ns, stale, period_us
         See `Frame`. Stimuli with equal numbers come from the same part of the source.
     image : ndarray, (H, W) uint8, optional
-        Gray levels under the finger, for display only.
+        Gray levels under the finger, for display.
     """
 
     pose: Pose = field(default=Pose(0.0, 0.0))
@@ -170,7 +170,7 @@ class Source(Device, ABC):
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """Functions by the key that calls them; any thread may call them."""
+        """Functions of keys of the keyboard, by key; any thread may call them."""
         return {}
 
     @abstractmethod

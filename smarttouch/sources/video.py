@@ -196,8 +196,8 @@ def open_frames(
 ) -> OpticalSource:
     """Open ``frames:DIR``, a folder of images of one size, in natural order of their names.
 
-    ``fps`` defaults to 30. With ``unpaced``, each read returns the next image instead.
-    """
+    ``fps`` defaults to 30. With ``unpaced``, each read returns the next image instead of the one
+    that is due."""
     rate_hz = USUAL_HZ if fps is None else fps
     words = f"a rate of {rate_hz:g} images a second"
     require_within(SourceError, "fps", rate_hz, 0, FASTEST_HZ, words, above=True)

@@ -178,7 +178,7 @@ def test_an_emulator_that_is_killed_leaves_no_board_behind(start_program, tmp_pa
 
 
 def table(output):
-    return {line[:13].strip(): line[13:].strip() for line in output.splitlines()}
+    return dict(re.split(r" {2,}", line.strip(), maxsplit=1) for line in output.splitlines())
 
 
 def test_a_page_is_shown(program_here):
