@@ -160,7 +160,7 @@ class SimulatedDriver(LinkDriver):
         """Return the simulated time at which a sequence with this time stamp begins, ns."""
         now_ns, before_ns, self._stamp_ns = self._session.now_ns(), self._stamp_ns, stamp_ns
         if not self._number or stamp_ns < before_ns:
-            # The first sequence begins now, as does one after a restart of the time stamps.
+            # The first sequence begins now. So does a sequence after a restart of the time stamps.
             self._ahead_ns = stamp_ns - now_ns
         gap_ns = stamp_ns - self._ahead_ns - now_ns
         self._ahead_ns += max(0, gap_ns - _LONGEST_GAP_NS)
@@ -265,7 +265,7 @@ class EmulatorProcess:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the process is running, and will not end soon because no host has connected."""
+        """Whether the process is running, and has not waited too long for its first host."""
         waits = self._port or time.monotonic() < self._begun_s + _FIRST_HOST_S
         return self.end.alive and not self.has_ended and bool(waits)
 

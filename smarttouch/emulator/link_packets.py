@@ -115,7 +115,7 @@ class BoardSession:
         return refusal
 
     def is_sign_of_life(self, head: bytes, began_ns: int, now_ns: int) -> bool:
-        """Return whether an incomplete packet is a sign of life: SEQUENCE and KERNELS are long."""
+        """Return whether an incomplete SEQUENCE or KERNELS packet counts as a sign of life."""
         message, early = decode_head(head), now_ns - began_ns <= protocol.LONGEST_PACKET_MS * _MS
         fresh = self._refusal_of(message, began_ns) is None
         return message.kind in (MessageKind.SEQUENCE, MessageKind.KERNELS) and early and fresh

@@ -74,7 +74,7 @@ def first_above(
 
 
 class Load(NamedTuple):
-    """Load of one pass of a sequence, or of all parts of a scan."""
+    """Load of one pass of a sequence, or of several parts of a scan."""
 
     each: NDArray[np.int64]
     """(3, E): of each electrode the number of perceptible pulses, absolute charge, pC, and net

@@ -165,7 +165,7 @@ class Source(Device, ABC):
             self.notes_told += 1
 
     def narrowed(self, profile: Profile) -> Profile:
-        """Return the profile to use with this source; its limits must not be wider."""
+        """Return the profile for this source; its limits must not exceed those of ``profile``."""
         return profile
 
     @property
