@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 from smarttouch.profile import Profile
 
 Row = list[tuple[str, str]]
-"""Pieces of a terminal row, each with its style."""
-MOST_ROWS, MOST_COLUMNS = 16, 64  # largest picture, in characters: drawing takes time from the loop
+"""One row of the terminal: pieces of text, each with its style."""
+MOST_ROWS, MOST_COLUMNS = 16, 64  # largest picture, in characters: drawing more could delay the run
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 _SHADE = 15  # step between shades of gray; divides 255, so white stays white
 _DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) * 16
-"""Threshold for each dot of two adjacent Braille characters (ordered dithering)."""
+"""Gray threshold of each dot of two adjacent Braille characters (ordered dithering)."""
 
 
 def image_rows(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool) -> list[Row]:
-    """Draw a gray image within a number of columns and rows: with color as half blocks of two
-    pixels, else as Braille characters of eight dots."""
+    """Draw a gray image with at most ``columns`` by ``rows`` characters: with ``color``, half
+    blocks that show two pixels each; without color, Braille characters of eight dots each."""
     height, width = image.shape
     rows, columns = min(rows, MOST_ROWS), min(columns, MOST_COLUMNS)
     wide = max(2, round(2 * rows * width / height))
@@ -48,7 +48,7 @@ def _dots(image: NDArray[np.uint8], columns: int, rows: int) -> list[Row]:
 
 
 class ArrayPicture:
-    """Draws an electrode array with characters."""
+    """Picture of an electrode array, drawn with characters."""
 
     def __init__(self, profile: Profile) -> None:
         position = profile.electrodes.position_mm
@@ -59,12 +59,12 @@ class ArrayPicture:
         self._spread = 3 if step_x >= step_y else 2
 
     def merged(self, columns: int, rows: int) -> int:
-        """Return how many columns and rows of electrodes one character covers."""
+        """Return how many electrodes each character combines along each axis."""
         return max(-(-self._columns // columns), -(-self._rows // rows))
 
     def draw(self, parts: NDArray[np.float32], columns: int, rows: int) -> list[Row]:
-        """Draw currents, (E,) relative to full current, within a number of columns and rows. A
-        character shows the strongest of its electrodes."""
+        """Draw currents, (E,) relative to full current, with at most ``columns`` by ``rows``
+        characters. Each character shows the largest current of its electrodes."""
         merged = self.merged(columns, rows)
         shape = -(-self._rows // merged), -(-self._columns // merged)
         strongest = np.full(shape, -1.0)
@@ -80,7 +80,7 @@ class ArrayPicture:
 
 
 def _sign(part: float, spread: int) -> tuple[str, str]:
-    """Return the character and style of an electrode; below 0 for an empty place."""
+    """Return text and style of an electrode's current; ``part`` < 0 means no electrode."""
     if part <= 0:
         return ("·" if part == 0 else " ").ljust(spread), "grey42"
     glow = round(90 + 165 * part)

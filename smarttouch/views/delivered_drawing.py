@@ -1,4 +1,4 @@
-"""Pictures of the page under the finger and, below it, of the delivered pulses."""
+"""Pictures of the page that a finger touched and, below the page, of the delivered pulses."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -28,8 +28,8 @@ from smarttouch.sources.source_contract import Pose, Sheet
 FINEST_MM = 0.1
 _WIDTH = (900, 1400)  # smallest and largest width of a picture, pixels
 _MARGIN, _LABEL = 24, 28
-_DOT_PART = 0.8  # diameter of an electrode's dot, relative to its cell
-_STOOD = 5  # mean number of sequences at one place above which the finger moves in steps
+_DOT_PART = 0.8  # diameter of an electrode's dot, relative to the electrode's cell
+_STEPWISE_FROM = 5  # mean number of sequences per pose from which the finger moves in steps
 _SCALE_PART = 0.2  # largest width of the scale bar, relative to the picture
 _SCALES_MM = (100, 50, 20, 10, 5, 2, 1, 0.5)
 Grey = NDArray[np.uint8]
@@ -37,20 +37,20 @@ Place = tuple[float, float]
 Places = NDArray[np.floating]
 Ink = int | tuple[int, int, int]
 Under = tuple[str, Place, Place, Callable[[tuple[int, int], float], Grey] | None]
-"""Title; top left corner, width and height, mm; and a function that draws it for a shape and a
-pixel size, mm, or None."""
+"""Touched area: its title; its top left corner, mm; its width and height, mm; and a function that
+draws what was there, for a shape in pixels and a pixel size in mm, or None."""
 
 
 _DARK_QUANTILE = 0.999
-_SIDE_MM = 0.5  # grid on which passes of the finger are counted
+_SIDE_MM = 0.5  # spacing of skin points that mark where the finger has been
 
 
 class SpikeMap:
-    """Map of spikes at the places of their receptors, in the color of each class on white.
+    """Picture of spikes: each spike at its receptor, in the color of its class, on white.
 
-    ``placed`` maps places on the finger to places on the picture for a pose, (N, 2) mm from its
-    corner. ``field_mm`` is the standard deviation of a receptive field. With ``mean`` a place shows
-    spikes per pass of the finger.
+    ``placed`` maps points of a finger at a pose to points of the picture, (N, 2) mm from the
+    picture's corner. ``field_mm`` is the standard deviation of a receptive field. With ``mean``,
+    spikes are divided by the number of poses at which the finger covered the place.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class SpikeMap:
         self._skin = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
 
     def add(self, pose: Pose, counts: NDArray[np.intp]) -> None:
-        """Add the spikes of each afferent, (A,), at a pose of the finger."""
+        """Add the spike counts of all afferents, (A,), at a pose of the finger."""
         fired = np.flatnonzero(counts)
         row, column, on = self._pixels(self._finger.receptor_mm[fired], pose)
         classes = self._finger.classes[fired[on]]
@@ -80,7 +80,7 @@ class SpikeMap:
         self._passes[row, column] += 1
 
     def image(self) -> NDArray[np.uint8]:
-        """Return the map, (H, W, 3)."""
+        """Return the picture in RGB, (H, W, 3)."""
         spikes = self._spread()
         total = spikes.sum(axis=0)
         dark = float(np.quantile(total[total > 0], _DARK_QUANTILE)) if total.any() else 1.0
@@ -99,7 +99,7 @@ class SpikeMap:
     def _pixels(
         self, places_mm: Places, pose: Pose
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-        """Return rows and columns of the places on the picture, and a mask of these places."""
+        """Return rows and columns of the points on the picture, and a mask, (N,), of them."""
         shape = self._passes.shape
         column, row = np.floor(self._placed(places_mm, pose) / self._pixel_mm).astype(np.intp).T
         on = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
@@ -107,11 +107,11 @@ class SpikeMap:
 
 
 class DeliveredDrawing(ABC):
-    """Draws delivered pulses at the places of the electrodes, below the page. A place shows the
-    mean or the strongest response of the electrodes that passed it (see `KernelBank.responses`).
-    ``magnification`` is mm on the array per mm on the page."""
+    """Picture of delivered pulses at the positions of the electrodes, drawn below the page. A pixel
+    shows the mean or the strongest response of the electrodes that passed over it (see
+    `KernelBank.responses`). ``magnification`` is mm on the array per mm on the page."""
 
-    strongest = False  # whether a place shows the strongest response, not the mean
+    strongest = False  # whether a pixel shows the strongest response instead of the mean
     longest_px = 4000
 
     def __init__(
@@ -121,7 +121,7 @@ class DeliveredDrawing(ABC):
         afferents: tuple[Afferent, ...],
         magnification: float = 1.0,
     ) -> None:
-        self.poses: dict[int, Pose] = {}  # by sequence number, while the finger touched
+        self.poses: dict[int, Pose] = {}  # by sequence number, only where intensity is above zero
         self._period_us: dict[int, int] = {}
         self.answers: dict[int, Floats] = {}  # responses, (E,) in [0, 1], by sequence number
         self._respond = partial(bank.responses, profile, afferents)
@@ -137,7 +137,7 @@ class DeliveredDrawing(ABC):
         """Return the picture of the touched area. Raises SmartTouchError if nothing was touched."""
 
     def watch(self, sent: StepResult) -> None:
-        """Record the pose and the duration of a step."""
+        """Record the pose and the period of a step that was sent with current."""
         if sent.number is not None and sent.sequence.intensity > 0:
             self.poses[sent.number] = sent.input.pose
             self._period_us[sent.number] = sent.sequence.period_us
@@ -149,7 +149,7 @@ class DeliveredDrawing(ABC):
         current_ua: NDArray[np.int16],
         finger: Finger | None = None,
     ) -> None:
-        """Add delivered slots, and the spikes of a finger if one is given."""
+        """Compute the responses to delivered slots and, with ``finger``, its spikes."""
         self.answers = self._respond(numbers, width_us, current_ua)
         self._finger = finger
         if finger is not None:
@@ -158,17 +158,17 @@ class DeliveredDrawing(ABC):
             )
 
     def places_mm(self, pose: Pose) -> NDArray[np.float64]:
-        """Return the places of the electrodes at a pose, (E, 2) mm."""
+        """Return the positions of the electrodes on the page at a pose, (E, 2) mm."""
         return self.placed(self._position_mm, pose)
 
     def placed(self, places_mm: Places, pose: Pose) -> NDArray[np.float64]:
-        """Map places on the finger, (N, 2) mm, to places on the page at a pose."""
+        """Map points of the finger, (N, 2) mm, to points of the page at a pose."""
         cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
         x, y = places_mm.T
         return np.column_stack([pose.x_mm + x * cos - y * sin, pose.y_mm + x * sin + y * cos])
 
     def picture(self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float) -> Grey:
-        """Return the responses in an area as gray levels, (H, W): 255 is none, 0 the strongest."""
+        """Return the responses in an area as gray levels, (H, W): 255 is zero, 0 the strongest."""
         raster = Raster(shape, self.strongest)
         silent = np.zeros(len(self._position_mm), np.float32)
         for number, pose in self.poses.items():
@@ -180,11 +180,11 @@ class DeliveredDrawing(ABC):
         if self.strongest:
             cell = np.ones((high, wide), np.uint8)
             return as_ink(np.asarray(cv2.dilate(raster.value, cell), np.float32))
-        if _STOOD * len(set(self.poses.values())) > len(self.poses):
+        if _STEPWISE_FROM * len(set(self.poses.values())) > len(self.poses):
             return as_ink(
                 raster.mean(lambda raster_plane: np.asarray(cv2.blur(raster_plane, (wide, high))))
             )
-        # If the finger moves in steps, draw dots, so that those of a Braille cell stay separate.
+        # The finger moves in steps: draw round dots, so that the dots of a Braille cell stay apart.
         sides = [max(1, round(_DOT_PART * side)) for side in (wide, high)]
         dot = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, sides).astype(np.float32)
         return as_ink(
@@ -194,7 +194,7 @@ class DeliveredDrawing(ABC):
     def felt_picture(
         self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float
     ) -> NDArray[np.uint8]:
-        """Return the map of a finger's spikes, (H, W, 3)."""
+        """Return the picture of the finger's spikes in RGB, (H, W, 3)."""
         assert self._finger is not None
         scale = self._magnification
         felt = SpikeMap(
@@ -210,7 +210,7 @@ class DeliveredDrawing(ABC):
         return felt.image()
 
     def save(self, path: Path) -> None:
-        """Write the page and the pictures below it as one PNG in true size."""
+        """Write one PNG in true size: the page, below it the pulses and the finger's spikes."""
         title, corner_mm, (width_mm, height_mm), draw_under = self.under()
         pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / self.longest_px)
         height, width = round(height_mm / pixel_mm), round(width_mm / pixel_mm)
@@ -256,8 +256,7 @@ def _draw_scale(
     ink: Ink,
     most: int,
 ) -> None:
-    """Draw a scale bar of whole millimeters, with its length as text, left of ``end`` (right,
-    top)."""
+    """Draw a scale bar, labeled with its length, that ends at ``end`` (right, top)."""
     right, top = end
     length_mm = next(
         (scale_mm for scale_mm in _SCALES_MM if scale_mm * per_mm <= _SCALE_PART * most), 0.5
@@ -272,7 +271,7 @@ def _draw_classes(
     font: ImageFont.ImageFont | ImageFont.FreeTypeFont,
     end: tuple[int, int],
 ) -> None:
-    """Write the names of the classes in their colors, above the right end of a picture."""
+    """Write the names of the afferent classes in their colors, left of ``end`` (right, top)."""
     right, top = end
     for afferent, color in reversed(CLASS_COLORS.items()):
         draw.text((right, top), afferent.name, fill=color, font=font, anchor="ra")
@@ -280,9 +279,9 @@ def _draw_classes(
 
 
 class PageDrawing(DeliveredDrawing):
-    """Draws the mean response at each place of all pages or lines under the finger.
+    """Picture of the mean response at each point of all pages or lines that the finger touched.
 
-    ``sheet`` returns the current one; if there is none, the touched area is drawn alone.
+    ``sheet`` returns the current page or line, or None if the source has none.
     """
 
     def __init__(
@@ -296,7 +295,7 @@ class PageDrawing(DeliveredDrawing):
         self._sheet, self._sheets = sheet, dict[int, Sheet]()
 
     def watch(self, sent: StepResult) -> None:
-        """Record the pose of a step, and the sheet under the finger."""
+        """Record the pose of a step, and the page or line under the finger."""
         super().watch(sent)
         if (sheet := self._sheet()) is not None:
             self._sheets[sheet.number] = sheet
@@ -304,7 +303,7 @@ class PageDrawing(DeliveredDrawing):
     def under(self) -> Under:
         """Return all pages and lines or, if there are none, the area touched by the electrodes."""
         if not (self._sheets or self.poses):
-            raise SmartTouchError("nothing was delivered to a finger: there is nothing to draw")
+            raise SmartTouchError("nothing to draw, as no pulse was delivered: raise the intensity")
         places_mm = [self.places_mm(pose) for pose in self.poses.values()]
         margin_mm = np.array(self._cell_mm)
         if self._sheets:
@@ -335,10 +334,10 @@ class PageDrawing(DeliveredDrawing):
 
 
 class DeliveredPicture(Listener):
-    """Draws the page, the delivered pulses and the spikes of a simulated finger.
+    """Listener that draws the page, the delivered pulses and the spikes of a simulated finger.
 
-    The board must report every pulse, as ``simulated:`` does. If a profile does not allow a
-    simulated finger, a note says so, and the spikes are left out.
+    The board must report every pulse, as ``simulated:`` does. If no finger can be simulated for the
+    profile, the picture omits the spikes, and a note gives the reason.
     """
 
     def __init__(self, path: Path, finger: int = 1, anatomy: str | Path = "branched") -> None:
@@ -349,14 +348,14 @@ class DeliveredPicture(Listener):
         self._driver: SimulatedDriver | None = None
 
     def prepare(self, run: RunContext) -> None:
-        """Start the picture, and make the board log its pulses."""
+        """Check the file name and the board, and choose the picture of the source."""
         if self.path.suffix.lower() not in ("", ".png"):
-            raise SmartTouchError(f"{self.path} cannot be drawn: name a .png")
+            raise SmartTouchError(f"cannot draw {self.path}: name it *.png")
         load_anatomy(self._anatomy)
         if not isinstance(run.board.driver, SimulatedDriver):
             raise SmartTouchError(
-                "this picture needs a board that reports every pulse, and this one "
-                "does not: use the board simulated:"
+                "the picture needs a report of every pulse, which this board does not send: "
+                "use the board simulated:"
             )
         self._driver = run.board.driver
         source_drawing = getattr(run.source, "drawing", None)
@@ -367,7 +366,7 @@ class DeliveredPicture(Listener):
             self._drawing = PageDrawing(run.profile, run.bank, afferents, lambda: run.source.sheet)
 
     def step(self, result: StepResult) -> None:
-        """Record the pose of the finger."""
+        """Record the pose of the finger and the period."""
         if self._drawing is not None:
             self._drawing.watch(result)
 
@@ -383,6 +382,6 @@ class DeliveredPicture(Listener):
             finger = Finger(profile, self._seed, self._anatomy)
             _ = finger.rows
         except DesignError as error:
-            self.notes.append(f"the picture shows pulses without a simulated finger: {error}")
+            self.notes.append(f"the picture omits spikes, as no finger can be simulated: {error}")
             return None
         return finger

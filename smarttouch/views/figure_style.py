@@ -1,5 +1,4 @@
-"""Common style of all figures: colors that color-blind readers can distinguish, axes and
-formats."""
+"""Style of all figures: colors that color-blind readers can distinguish, axes and file formats."""
 
 import sys
 from io import BytesIO
@@ -12,7 +11,7 @@ from smarttouch.base.files import write_bytes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CATHODIC, ANODIC = "#b35806", "#542788"  # ends of Matplotlib's PuOr
+CATHODIC, ANODIC = "#b35806", "#542788"  # ends of Matplotlib's color map PuOr
 SIGNED_MAP = "PuOr_r"  # orange: cathodic or depolarizing; purple: the opposite
 GREY = "#707070"
 SERIES_COLORS = ("#d55e00", "#009e73", "#0072b2", "#cc79a7", "#e69f00", "#56b4e9")
@@ -23,7 +22,7 @@ FORMATS = ("png", "pdf", "svg")
 
 
 def new_figure(width_in: float, height_in: float) -> "Figure":
-    """Return an empty figure; by pyplot if the program or notebook has imported it."""
+    """Return an empty figure. If pyplot is imported, pyplot makes it, so that notebooks show it."""
     plain: Any = import_extra("matplotlib.figure", "a figure", "plot").Figure
     pyplot = sys.modules.get("matplotlib.pyplot")
     figure: Figure = (plain if pyplot is None else pyplot.figure)(
@@ -33,7 +32,7 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
 
 
 def require_drawable(path: Path) -> None:
-    """Raise SmartTouchError if the format is unknown or matplotlib is missing."""
+    """Raise SmartTouchError if the file format is unknown or matplotlib is missing."""
     if path.suffix.lower().lstrip(".") not in FORMATS:
         raise SmartTouchError(f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}")
     new_figure(1, 1)
@@ -49,7 +48,7 @@ def plain(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
 
 
 def save(figure: "Figure", path: Path) -> None:
-    """Write a figure in the format given by the file's ending."""
+    """Write a figure in the format that the file extension names."""
     require_drawable(path)
     from matplotlib import rc_context
 

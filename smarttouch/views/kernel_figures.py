@@ -18,8 +18,7 @@ _POINTS = 121
 
 
 def kernel_figure(profile: Profile, kernels: Mapping[Afferent, Kernel], site: int) -> "Figure":
-    """Draw kernels of one site, one in each row, and the activation they cause, relative to the
-    target."""
+    """Draw the kernels of one site, one per row, with their activation relative to the target."""
     if profile.skin.medium == "plane":
         return _line_figure(profile, kernels)
     width, height = _reach_mm(profile) * 2
@@ -84,7 +83,8 @@ def _reach_mm(profile: Profile) -> Array:
 
 
 def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
-    """Return the AF of each class per mA at places (..., 2), in each direction, (D, ..., E)."""
+    """Return each class's AF per mA of each electrode at places (..., 2), for D directions of the
+    nerve fiber, (D, ..., E)."""
     skin = profile.skin
     per_ma = {}
     for shown in Afferent:
@@ -97,7 +97,7 @@ def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
 
 
 def _activation(per_ma: Array, kernel: Kernel) -> Array:
-    """Return the AF of a kernel at the places of `_per_ma`, largest over directions."""
+    """Return the AF of a kernel at each place of ``per_ma``, the largest of all directions."""
     return np.asarray((per_ma @ kernel.weights).max(axis=0))
 
 
@@ -113,7 +113,7 @@ def draw_electrodes(axes: Any, profile: Profile, **style: Any) -> Any:
 
 
 def electrode_patches(profile: Profile) -> list[Any]:
-    """Return a patch for each electrode, to scale."""
+    """Return a Matplotlib patch for each electrode, to scale."""
     from matplotlib.patches import Annulus, Circle, Rectangle
 
     array = profile.electrodes
@@ -132,7 +132,7 @@ def electrode_patches(profile: Profile) -> list[Any]:
 
 
 def draw_weights(axes: Any, line: Profile, weights: Array) -> None:
-    """Draw weights of line electrodes as bars, as in the paper, cathodic up."""
+    """Draw the weights of a line of electrodes as bars, cathodic upward, as in the paper."""
     x_mm = line.electrodes.position_mm[:, 0]
     colors = [CATHODIC if weight > 0 else ANODIC for weight in weights]
     axes.bar(x_mm, weights, width=0.5 * line.electrodes.pitch_mm, color=colors)
@@ -141,7 +141,7 @@ def draw_weights(axes: Any, line: Profile, weights: Array) -> None:
 
 
 def draw_field(axes: Any, x: Array, y: Array, af: Array) -> Any:
-    """Draw a field at evenly spaced places, (Y, X), as an image, which is faster than a mesh."""
+    """Draw values at evenly spaced places, (Y, X), as an image, which is faster than a mesh."""
     half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
     return axes.imshow(
         af,

@@ -22,7 +22,7 @@ _before: list[list[Any]] = []  # original terminal settings while they are chang
 
 
 def restore() -> None:
-    """Restore the terminal's settings, without waiting for output."""
+    """Restore the terminal's settings at once, without waiting for pending output."""
     if _before:
         # The terminal may be closed.
         with suppress(termios.error):
@@ -32,13 +32,13 @@ def restore() -> None:
 class Output:
     """Standard stream that buffers output which the terminal does not accept yet.
 
-    A `Terminal` sends the buffer in non-blocking writes. Without non-blocking writes, or if the
-    stream is not a file, output is written at once.
+    A `Terminal` sends the buffer in non-blocking writes. On systems without them, or if the stream
+    is not a file, output is written at once.
     """
 
     def __init__(self, stream: Any) -> None:
         self.number: int | None = None
-        """Descriptor for sending, while a terminal's thread does so."""
+        """Descriptor for non-blocking writes while output is buffered; otherwise None."""
         self.waiting = bytearray()
         self.failure: OSError | None = None
         self._stream = stream
@@ -54,7 +54,7 @@ class Output:
             self._stream.flush()
             number = self._stream.fileno()
             try:
-                # Open it again: only this descriptor becomes non-blocking.
+                # Open the terminal again, so that only this new descriptor is non-blocking.
                 flags = os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK
                 self.number = os.open(os.ttyname(number), flags)
             except OSError:
@@ -64,7 +64,7 @@ class Output:
         if self.number is not None:
             self.waiting += text.encode(self._stream.encoding or "utf-8", "backslashreplace")
         else:
-            # Write bytes: the terminal may accept only the first bytes of a character.
+            # Write the rest of the buffer as bytes: it may begin within a character.
             while self.waiting:
                 del self.waiting[: os.write(self._stream.fileno(), self.waiting)]
             self._stream.write(text)
@@ -75,10 +75,10 @@ class Output:
             self._stream.flush()
 
     def send(self) -> None:
-        """Send as much as the terminal accepts at once."""
+        """Send as many bytes of the buffer as the terminal accepts without blocking."""
         assert self.number is not None
         try:
-            # A pipe accepts this many bytes at once, or none.
+            # A pipe accepts up to PIPE_BUF bytes either all at once or not at all.
             del self.waiting[: os.write(self.number, self.waiting[: select.PIPE_BUF])]
         except BlockingIOError:
             time.sleep(_TURN_S)
@@ -87,18 +87,17 @@ class Output:
             self.waiting.clear()
 
     def close(self) -> None:
-        """Write the buffer, and all later output at once."""
+        """End buffering. The next `write` first sends the rest of the buffer."""
         number, self.number = self.number, None
         if number is not None:
             os.close(number)
 
 
 class Terminal:
-    """Thread that reads keys, draws and sends output, without waiting for the terminal. ``on_key``
-    receives each key; arrow keys are ``up``, ``down``, ``left`` and ``right``, a closed terminal is
-    `LOST`.
+    """Thread that reads keys, draws and sends output, without waiting for the terminal.
 
-    ``draw`` is called repeatedly.
+    ``on_key`` receives each key. Arrow keys are ``up``, ``down``, ``left`` and ``right``; `LOST`
+    reports that the terminal was closed. ``draw`` is called repeatedly.
     """
 
     def __init__(
@@ -119,13 +118,13 @@ class Terminal:
             output.open()
         if self._on_key is not None:
             _before.append(termios.tcgetattr(sys.stdin))
-            # Switch now: pending output may never be read.
+            # TCSANOW: the default waits until output is read, which may never happen.
             tty.setcbreak(sys.stdin, termios.TCSANOW)
         if self._on_key is not None or self._outputs:
             self._thread.start()
 
     def close(self, patience_s: float = 0.0) -> None:
-        """Draw and send the remaining output within ``patience_s``; restore the terminal."""
+        """Send the remaining output for at most ``patience_s``, then restore the terminal."""
         self._over.set()
         if self._thread.ident is not None:
             self._thread.join(patience_s)
@@ -157,14 +156,14 @@ class Terminal:
                 if heard and on_key is not None and not _pass_keys(keys[0], on_key):
                     on_key = None
         except BaseException:
-            # Otherwise this thread dies, and even `q` stops working.
+            # Without this thread no key works, so end the run like a closed terminal.
             (on_key or (lambda _key: None))(LOST)
             raise
 
 
 @contextmanager
 def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
-    """Pass each key to a function, from a thread, while the block runs; see `Terminal`."""
+    """Call a function with each key, from a thread, while the block runs; see `Terminal`."""
     terminal = Terminal(on_key)
     with contextlib.closing(terminal):
         terminal.open()
@@ -172,7 +171,7 @@ def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
 
 
 def _pass_keys(number: int, on_key: Callable[[str], None]) -> bool:
-    """Pass on pressed keys; return whether more keys may follow."""
+    """Call ``on_key`` with the pressed keys; return False if the terminal is closed."""
     try:
         data = os.read(number, 64)
     except OSError:
@@ -225,8 +224,8 @@ def by_signal() -> bool:
 
 @contextmanager
 def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
-    """Let the block finish by itself after a stop request, within ``patience_s`` of a signal.
-    Outside of the block a signal interrupts."""
+    """Let the block finish by itself after a stop request or signal. After a signal, it has
+    ``patience_s``. Outside the block, a signal raises RunStopped."""
     command = current_command()
     command.patience_s = patience_s or command.patience_s
     before, command.orderly = command.orderly, True
@@ -237,7 +236,7 @@ def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
 
 
 def _give_up(number: int) -> None:
-    """End the process now: all boards are at zero, but something blocks."""
+    """End the process at once, because something blocks the end of the command."""
     restore()
     with suppress(OSError, ValueError):
         for descriptor in (1, 2):

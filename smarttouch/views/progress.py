@@ -8,17 +8,17 @@ from typing import Any
 from smarttouch.views import terminal_output
 
 _LINE_S = 10.0
-Advance = Callable[[int, int], None]  # called with the numbers done and in all
+Advance = Callable[[int, int], None]  # called with the number of completed items and their total
 
 
 def bank_progress() -> AbstractContextManager[Advance]:
-    """Show the progress of a kernel design; yield the function to call."""
+    """Show the progress of a kernel design; yield the function that reports progress."""
     return progress("Designing kernels")
 
 
 @contextmanager
 def progress(title: str = "Reading lines") -> Iterator[Advance]:
-    """Show progress; yield the function to call."""
+    """Show progress; yield the function that reports it."""
     bar: Any = None  # a Progress of rich
     begun_s = printed_s = time.monotonic()
 
@@ -31,7 +31,7 @@ def progress(title: str = "Reading lines") -> Iterator[Advance]:
             bar = Progress(console=terminal_output.console(stderr=True), transient=True)
             bar.add_task(title)
         if terminal_output.draws(bar.console):
-            # Start the bar only if there is work.
+            # Show the bar only when the first progress is reported.
             bar.start()
             bar.update(bar.task_ids[0], completed=done, total=total)
         elif done and now_s > printed_s + _LINE_S:

@@ -28,10 +28,10 @@ from smarttouch.views.character_pictures import MOST_ROWS, ArrayPicture, Row, im
 from smarttouch.views.keys_and_signals import Output, Terminal
 
 _REFRESH_S = 0.2
-_LEAST_REST = 20  # shortest pause between redraws, in multiples of the last one's duration
+_LEAST_REST = 20  # shortest pause between redraws, in durations of the last redraw
 _KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
-_ROOMY = 20  # height of a terminal from which an event gets two rows
-_LEAST_PICTURE = 9  # smallest height of the pictures with their title, rows
+_ROOMY = 20  # terminal height, rows, from which an event may take two rows
+_LEAST_PICTURE = 9  # smallest height of the pictures including titles, rows
 _NAME = 9
 _CLOSES_WITHIN_S = 1.0  # longest wait for the terminal at the end
 
@@ -39,10 +39,10 @@ Rows = tuple[tuple[str, str], ...]
 
 
 class Screen(Listener):
-    """Shows a run in the terminal, receives keys and prints a summary. It uses its own thread, so
-    that neither pulses nor keys wait for the terminal. If plain, or if the output is not a
-    terminal, it prints a line for each event and each new title of the source. ``keys_of`` returns
-    the function that receives keys."""
+    """Terminal view of a run, with keys and a summary. It draws in its own thread, so that neither
+    pulses nor keys wait for the terminal. With ``plain``, or if the output is not a terminal, it
+    prints a line for each event and for each new title of the source. ``keys_of`` returns the
+    function that receives keys."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class Screen(Listener):
         self._errors = terminal_output.console(stderr=True)
         self._plain = plain or not terminal_output.draws()
         self._title = ""
-        self._early: list[str] | None = []  # lines printed before the board was open
+        self._early: list[str] | None = []  # lines to print once the board is open
         self._latest: StepResult | None = None
         self._pulse: FirstPulse | None = None
         self._event = ""
@@ -67,7 +67,7 @@ class Screen(Listener):
         self._outputs = [Output(self._console.file), Output(self._errors.file)]
         self._console.file, self._errors.file = (cast(TextIO, each) for each in self._outputs)
         self._terminal: Terminal | None = None
-        self._failure: BaseException | None = None  # for the run's thread to raise
+        self._failure: BaseException | None = None  # to be raised in the run's thread
         self._drawn: object = None
         self._rests_until_s = 0.0
 
@@ -76,7 +76,7 @@ class Screen(Listener):
         self._board, self._statistics = run.board, run.statistics
         self._full_ma = float(run.profile.full_ma.max())
         if not self._plain:
-            # Drawing must not delay the loop by Python's default switch interval of 5 ms.
+            # With Python's default switch interval, drawing could delay the run loop by 5 ms.
             self._interval = sys.getswitchinterval()
             sys.setswitchinterval(0.0005)
             self._live = Live(
@@ -93,7 +93,7 @@ class Screen(Listener):
         return ArrayPicture(self._profile)
 
     def start(self, run: RunContext) -> None:
-        """If plain, print the title and the keys."""
+        """In plain mode, print the title, the keys and all earlier lines."""
         if self._plain:
             self._title = run.source.title
             self._print(f"{self._title}, {run.profile.title}, {self._url}")
@@ -113,7 +113,7 @@ class Screen(Listener):
             self._print(f"{result.step.input.time_ns / 1e9:.1f} s: {title}")
 
     def event(self, event: Event) -> None:
-        """Show the newest event; advice stays on the terminal."""
+        """Show the newest event. Advice is printed, so that it stays in the terminal."""
         self._event = f"{event.time_ns / 1e9:.1f} s: {event}"
         if isinstance(event, Advice):
             console = self._errors if self._live is None else self._console
@@ -130,7 +130,7 @@ class Screen(Listener):
         self._raise_failure()
 
     def close(self) -> None:
-        """Restore the terminal, unless it no longer reads."""
+        """End drawing and restore the terminal, even if the terminal no longer accepts output."""
         live, self._live = self._live, None
         if live is not None:
             self._acts.put(live.stop)
@@ -152,8 +152,8 @@ class Screen(Listener):
             raise failure
 
     def _draw(self) -> None:
-        """Run queued actions and redraw after changes, less often on a busy machine, and never
-        ahead of a terminal that takes nothing."""
+        """Run queued actions, and redraw after changes: less often if drawing is slow, and only
+        when the terminal has accepted all earlier output."""
         began_s, live = time.monotonic(), self._live
         try:
             with suppress(Empty):
@@ -177,7 +177,7 @@ class Screen(Listener):
         self._later(partial(self._print_now, line))
 
     def _print_now(self, line: str) -> None:
-        """Print a line; a terminal wraps it at words."""
+        """Print a line. On a terminal, a long line is wrapped between words."""
         line, is_plain = line.replace("\n", " "), not self._console.is_terminal
         self._console.print(line, soft_wrap=is_plain, highlight=False, markup=False)
 
@@ -217,7 +217,7 @@ class Screen(Listener):
         image, half = sent.step.input.image, max(2, (width - 3) // 2)
         electrodes, rows = sent.delivered_ma / self._full_ma, rows - 1
         if image is None:
-            title = "asked for"
+            title = "requested"
             asked = sent.step.tactile.activation.max(axis=0)
             pictured = self._array.draw(asked, half, rows)
         else:
@@ -228,14 +228,14 @@ class Screen(Listener):
         merged = self._array.merged(beside, rows)
         what = f"{sent.step.mode} electrodes" + f", {merged} × {merged} per dot" * (merged > 1)
         drawn = self._array.draw(electrodes, beside, rows)
-        # Fill up to a constant height.
+        # Add empty rows, so that the height is constant.
         for picture in (pictured, drawn):
             picture += [[] for _ in range(rows - len(picture))]
         pairs = [([(title, "dim")], [(what, "dim")]), *zip(pictured, drawn, strict=True)]
         return [[*_padded(left, wide + 3), *right] for left, right in pairs]
 
     def _gauges(self, sent: StepResult, width: int) -> Rows:
-        """Return the values that limit the stimulus, each with a bar, in half of the width."""
+        """Return intensity, current, pressure and charge, each with a bar, ``width`` characters."""
         frame, sequence, limits = sent.step.input, sent.step.sequence, self._profile.limits
         peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
         charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000
@@ -276,7 +276,7 @@ class Screen(Listener):
         wrote = [f"wrote {path}" for path in files]
         account = self._source.account if self._plain else ""
         if account:
-            # Plain output also lists restarts.
+            # This short summary must still say that the stimulus was interrupted.
             if again := figures["restarts"] + figures["dropped_late"]:
                 notes = [*notes, f"intensity restarted at zero {again} times"]
             more = "; ".join([*notes, *wrote]) or "No warning; nothing was recorded."
@@ -288,7 +288,7 @@ class Screen(Listener):
 
 
 def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:
-    """Return the latency to the first pulse or, if unknown, to the last byte, as text."""
+    """Return as text the latency to the first pulse or, if unknown, to the last byte sent."""
     if pulse is not None:
         return f"{pulse.latency_us / 1e3:.1f} ms, to first pulse"
     known_ms = sent.step.input.age_ns / 1e6 + sent.latency_us / 1e3
@@ -296,10 +296,10 @@ def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:
 
 
 def _beside(other: float, spill: float) -> str:
-    """Return the worst side effects of points that have shared slots, as text."""
+    """Return as text the largest off-target and spill of slots that several points shared."""
     if not other and not spill:
         return "no points share a slot"
-    return f"{other:.0%} other class, {spill:.0%} place"
+    return f"{other:.0%} off-target, {spill:.0%} spill"
 
 
 def bar(part: float, width: int = 10) -> str:
@@ -308,8 +308,8 @@ def bar(part: float, width: int = 10) -> str:
 
 
 class _Rows:
-    """Renderable rows of styled text, each in one row of the terminal. It is faster than tables of
-    rich, which measure and wrap cells."""
+    """Rows of styled text for rich, each in one row of the terminal. They are drawn faster than
+    rich's tables, which measure and wrap cells."""
 
     def __init__(self, width: int, rows: list[Row]) -> None:
         self._width, self._rows = width, rows
@@ -325,7 +325,7 @@ class _Rows:
 
 
 def _fitting(words: str, width: int) -> str:
-    """Return a text shortened to a width, with an ellipsis."""
+    """Return a text; if it is wider than ``width``, it is cut and ends with an ellipsis."""
     if cell_len(words) <= width:
         return words
     return set_cell_size(words, width - 1) + "…" if width > 0 else ""
@@ -337,7 +337,7 @@ def _padded(row: Row, width: int) -> Row:
 
 
 def _columns(rows: Rows, width: int) -> list[Row]:
-    """Return rows with two pairs of name and value each."""
+    """Return terminal rows, each with two pairs of name and value."""
     wide = max(1, width // 2 - _NAME - 2)
     columns: list[Row] = []
     for pairs in zip_longest(rows[::2], rows[1::2], fillvalue=("", "")):
@@ -403,7 +403,7 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
     if by_host:
         least, at_most = figures["pulses"], figures["pulses_at_most"]
         pulses = str(least) if least == at_most else f"{least} to {at_most}"
-        net = f"all pulses add up to {net_uc:.2g} µC on one electrode"
+        net = f"net charge of all pulses at most {net_uc:.2g} µC on one electrode"
         counted = f"{pulses} pulses, counted by this program: the board reports none"
     lines = [
         f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
@@ -414,7 +414,7 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
         f"strongest pulse {figures['max_current_ma']:.2f} mA, "
         f"{figures['max_charge_uc']:.3f} µC; {net}",
         f"session: {figures['dose_s']:.1f} s of current, at most {figures['dose_mc']:.2f} mC "
-        f"through one electrode, the sum of its pulses {figures['dose_net_uc']:.3g} µC at most",
+        f"and net at most {figures['dose_net_uc']:.3g} µC through one electrode",
         counted,
     ]
     if figures["worst_other"] is not None:
@@ -425,5 +425,5 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
     if figures["lifts"]:
         lines.append(f"the finger was lifted {figures['lifts']} times")
     if blind := figures["without_force_or_image"]:
-        lines.append(f"{blind} sequences without current: force or image were unknown")
+        lines.append(f"{blind} sequences without current, because force or image was unknown")
     return lines

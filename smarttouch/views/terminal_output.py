@@ -14,7 +14,7 @@ from smarttouch.base.errors import SmartTouchError
 if TYPE_CHECKING:
     from rich.console import Console
 
-_OBEYED = re.compile(
+_CONTROL = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff"
     "\U000e0000-\U000e007f]"
 )
@@ -26,10 +26,10 @@ def printable(text: str) -> str:
 
     Newlines and tabs stay. A C0 control becomes its picture (␛ for Escape), any other becomes �.
     """
-    return _OBEYED.sub(_stand_in, text)
+    return _CONTROL.sub(_visible, text)
 
 
-def _stand_in(match: re.Match[str]) -> str:
+def _visible(match: re.Match[str]) -> str:
     code = ord(match[0])
     if code < 0x20:
         return chr(0x2400 + code)
@@ -37,7 +37,7 @@ def _stand_in(match: re.Match[str]) -> str:
 
 
 def write_failure(error: OSError, name: str) -> Exception:
-    """Return what to raise for a failure of a stream: a broken pipe itself, or one sentence."""
+    """Return the exception for a failed write: a broken pipe as it is, or a SmartTouchError."""
     if isinstance(error, BrokenPipeError):
         return error
     return SmartTouchError(f"cannot write to {name}: {error.strerror}")
@@ -46,15 +46,15 @@ def write_failure(error: OSError, name: str) -> Exception:
 class PlainStream:
     """Standard stream whose failures become a SmartTouchError.
 
-    Failures of a stream without a name are ignored. If ``plain``, control characters are replaced,
-    and `isatty` is false: code that draws uses `console`.
+    Failures of a stream without a name are ignored. With ``plain``, control characters are
+    replaced, and `isatty` is false, because code that draws uses `console` instead.
     """
 
     def __init__(self, stream: TextIO, name: str, plain: bool = True) -> None:
         self._stream, self._name, self._plain = stream, name, plain
 
     def __getattr__(self, name: str) -> Any:
-        # Pass on these only: `buffer` and `writelines` would bypass the replacement.
+        # Do not expose `buffer` and `writelines`, which would bypass the replacement.
         if name not in ("encoding", "errors", "closed", "fileno", "writable"):
             raise AttributeError(name)
         return getattr(self._stream, name)
@@ -83,7 +83,7 @@ class PlainStream:
 
 
 def console(*, stderr: bool = False, highlight: bool = True) -> "Console":
-    """Return a console for drawing that replaces control characters."""
+    """Return a console of rich that replaces control characters."""
     stream: Any = sys.stderr if stderr else sys.stdout
     return _console_class()(
         file=getattr(stream, "direct", stream), highlight=highlight, markup=False, emoji=False
@@ -97,7 +97,7 @@ def draws(shown: "Console | None" = None) -> bool:
 
 
 _WIDEST = 200
-_LONGEST_NAME = 40  # longest text in a left column that is not wrapped
+_LONGEST_NAME = 40  # longest text in the first column for which the column is not wrapped
 
 
 def print_table(
@@ -110,7 +110,7 @@ def print_table(
     if left > 1 and not draws(shown):
         shown.width = _WIDEST  # never wrap rows
     table = Table(box=None, pad_edge=False, show_header=bool(heading))
-    # Wrap sentences at the left, so that the other columns fit.
+    # If the first column has sentences, wrap them, so that the other columns fit.
     names = all(len(str(row[0])) <= _LONGEST_NAME for row in rows)
     for column, name in enumerate(heading or [""] * max(map(len, rows), default=0)):
         justify: Any = "left" if column < left else "right"
@@ -122,7 +122,7 @@ def print_table(
 
 @cache
 def _console_class() -> "type[Console]":
-    # Import late: it takes 0.1 s, and help does not need it.
+    # Import rich late: the import takes 0.1 s, and --help does not need rich.
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
 
@@ -141,8 +141,8 @@ def _console_class() -> "type[Console]":
 def guarded_output() -> Iterator[None]:
     """Replace control characters in standard output and errors while the block runs.
 
-    Closed standard streams are opened on the null device: otherwise a file or port opened later
-    would get their number.
+    Closed standard streams are opened on the null device. Otherwise a file or port that is opened
+    later would get the descriptor of a standard stream.
     """
     _fill_closed()
     before = sys.stdout, sys.stderr
@@ -164,7 +164,7 @@ def _fill_closed() -> None:
         try:
             os.fstat(number)
         except OSError:
-            # This returns the lowest free number, which is this one.
+            # The system assigns the lowest free descriptor, which is ``number``.
             os.open(os.devnull, os.O_RDWR)
         if getattr(sys, name) is None:
             nothing = os.open(os.devnull, os.O_RDWR)

@@ -38,11 +38,11 @@ if TYPE_CHECKING:
     from smarttouch.running.recording import RecordedRun
     from smarttouch.views.window import Window
 
-OPENED_WITHIN_S = 60.0  # longest wait for a page if somebody must copy its address
-_TIMED_S = 10.0  # longest wait for a page if the run has a time limit
-DRAWN_WITHIN_S = 30.0  # time to finish pictures after a first signal
+OPENED_WITHIN_S = 60.0  # longest wait for a browser if a person must copy the address
+_TIMED_S = 10.0  # longest wait for a browser if the run has a time limit
+DRAWN_WITHIN_S = 30.0  # time to finish pictures after the first signal
 
-_TOLD = ("subject", "note", "sensor", "force", "board")  # settings in the summary
+_SUMMARIZED = ("subject", "note", "sensor", "force", "board")  # settings in a recording's summary
 
 Keys = Mapping[str, Callable[[], None]]
 
@@ -64,10 +64,10 @@ def run_in_terminal(
     plain: bool = False,
     draws: bool = False,
 ) -> None:
-    """Run a source on a display until it ends or the user ends it, and print a summary. Arguments
-    are as for `Runner`. ``keys`` maps more keys to functions, ``keys_help`` describes them.
-    ``json_file`` receives the figures of the run; ``files`` are all files that it writes. A run
-    that ``draws`` gets more time to finish. A window stays while pages are open."""
+    """Run a source on a display until the source or the user ends the run; print a summary.
+    Arguments are as for `Runner`. ``keys`` maps more keys to functions, ``keys_help`` describes
+    them. ``json_file`` receives the figures of the run; ``files`` are all files that the run
+    writes. ``draws`` gives the run more time to finish. The window stays until it is closed."""
     stop, typed = command_stop(), sys.stdin.isatty()
     asks = display.on_a_finger and (typed or window) and (screen, controls) == (Screen, Controls)
     operation = _Operation(draws, asks)
@@ -88,7 +88,7 @@ def run_in_terminal(
             config,
             force=force,
             listeners=[
-                *([] if page is None else [page]),  # before the screen, as it prints its address
+                *([] if page is None else [page]),  # first, to print its address first
                 shown,
                 *listeners,
                 operation,
@@ -112,8 +112,8 @@ def run_in_terminal(
 def _operated(
     display: Display, config: RunConfig, controls: MakeControls, steered: bool
 ) -> tuple[RunConfig, MakeControls]:
-    """Return settings and controls of a run. On a finger the given intensity becomes the largest
-    one, and the run starts at zero if somebody can raise it."""
+    """Return settings and controls of a run. On a finger, the intensity of ``config`` becomes the
+    maximum, and a run that is ``steered`` by a person starts at zero."""
     if not display.on_a_finger:
         return config, controls
 
@@ -144,7 +144,7 @@ def _load_kernels(profile: Profile) -> KernelBank:
 
 
 class _Operation(Listener):
-    """Ends a run in order from `prepare` on; if it ``asks``, offers levels and logs those kept."""
+    """Listener that ends a run in order; with ``asks``, offers and logs comfortable levels."""
 
     def __init__(self, draws: bool, asks: bool) -> None:
         super().__init__()
@@ -167,8 +167,8 @@ class _Operation(Listener):
             self._run.source.emit(Advice(at_ns, words))
 
     def _rise(self) -> None:
-        """Ask for the last comfortable level of the mode; the ramp leads to it."""
-        # A key may come before the run is prepared.
+        """Set the last comfortable level of the mode; the ramp limits how fast intensity rises."""
+        # The key may be pressed before the run is prepared.
         if self._levels is not None:
             controls, state = self._run.controls, self._run.controls.state(0)
             controls.set_level(self._levels.offered.get(str(state.mode), state.level))
@@ -178,7 +178,7 @@ class _Operation(Listener):
 
 
 def _keys_of(stop: StopRequest, keys: Keys, run: RunContext) -> Callable[[str], None]:
-    """Return what each key does in a run."""
+    """Return the function that handles the keys of a run."""
     controls = run.controls
     does: dict[str, Callable[[], None]] = {
         "+": lambda: controls.change_level(STEP),
@@ -214,7 +214,7 @@ def describe_recording(path: Path) -> list[tuple[str, str]]:
         ("began", f"{began:%Y-%m-%d %H:%M:%S} UTC"),
         ("lasted", f"{recording.seconds:.1f} s"),
         ("profile", f"{recording.profile.name}, {recording.profile.title}"),
-        *((name, str(settings.get(name) or "none")) for name in _TOLD),
+        *((name, str(settings.get(name) or "none")) for name in _SUMMARIZED),
         ("sequences", ", ".join(f"{mode} {count:,}" for mode, count in modes.items()) or "none"),
         ("strongest", f"{strongest_ma:.2f} mA through one electrode, in {slots:,} slots"),
         ("versions", ", ".join(f"{name} {value}" for name, value in versions.items())),
@@ -230,4 +230,4 @@ def _state(recording: "RecordedRun") -> str:
         return "complete"
     if recording.damaged_chunks:
         return f"damaged: {recording.damaged_chunks} chunks cannot be read"
-    return "cut: the program that wrote it did not end in order"
+    return "incomplete: the program that wrote the recording did not end in order"

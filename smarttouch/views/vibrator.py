@@ -1,4 +1,4 @@
-"""Output for a mechanical vibrator that stimulates PC, to a WAV file or a sound card."""
+"""Signal for a mechanical vibrator that stimulates PC, as a WAV file or through a sound card."""
 
 import time
 import wave
@@ -13,21 +13,21 @@ from smarttouch.running.step import Listener, RunContext, StepResult
 
 CARRIER_HZ = 250.0  # best frequency of the Pacinian corpuscle (paper, Sections I and V)
 RATE_HZ = 48_000
-HOLD_S = 0.08  # with fade and delay of a sound card, silence follows within 0.1 s
+HOLD_S = 0.08  # longest vibration; with fade-out and sound card delay, at most 0.1 s
 FADE_S = 0.004  # time from zero to full amplitude: one cycle avoids clicks
-_NEEDS = "sound: needs a sound card, pip install sounddevice, on Linux apt install libportaudio2"
+_NEEDS = "sound: needs a sound card; pip install sounddevice; on Linux apt install libportaudio2"
 
 
 class Vibrator(Listener):
-    """Plays PC activation on a mechanical vibrator instead of by current (paper, Section V).
+    """Listener that drives PC by a mechanical vibrator instead of by current (paper, Section V).
 
-    It plays a sinusoid of 250 Hz with the largest PC activation of a sequence as amplitude; 1 is
-    full scale. The vibration lasts until the next sequence, at most 80 ms.
+    The signal is a sinusoid of 250 Hz. Its amplitude is the largest PC activation of the sequence;
+    1 is full scale. It lasts until the next sequence, at most 80 ms.
 
     Parameters
     ----------
     target : str or Path
-        A new WAV file, which is always valid, or ``"sound:"`` for the sound card.
+        A new WAV file, valid even if the run is killed, or ``"sound:"`` for the sound card.
     """
 
     vibrates_pc = True
@@ -43,7 +43,7 @@ class Vibrator(Listener):
         self._output = _SoundCard() if self._target == "sound:" else _WavFile(Path(self._target))
 
     def step(self, result: StepResult) -> None:
-        """Vibrate as the sequence requests; be silent if it was lost with the board."""
+        """Play the vibration of a sequence, unless the sequence was not sent."""
         sequence = result.sequence
         if self._output is not None and result.number is not None:
             amplitude = 0.0 if sequence.vibration is None else float(sequence.vibration.max())
@@ -71,7 +71,7 @@ class _Carrier:
 class _WavFile(_Carrier):
     def __init__(self, path: Path) -> None:
         try:
-            # Unbuffered, so that the file always contains each piece and its length.
+            # Unbuffered, so that the file is valid after each write.
             self._stream = open(path, "xb", buffering=0, opener=owner_only)  # noqa: SIM115
         except OSError as error:
             raise unwritable(SmartTouchError, path, error) from None
@@ -97,7 +97,7 @@ class _WavFile(_Carrier):
 
 class _SoundCard(_Carrier):
     def __init__(self) -> None:
-        self._asked = 0.0, 0.0  # amplitude and its end, read by the sound card's thread
+        self._asked = 0.0, 0.0  # amplitude and its end, s, read by the sound card's thread
         try:
             from sounddevice import OutputStream
 

@@ -25,23 +25,23 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.views.window_pages import LOST_S, ConnectedPage, Pages, Steering
 from smarttouch.views.window_server import PageServer, open_browser
 
-MOST_PIXELS = 160  # longer side of the sensor's image; larger ones are reduced
+MOST_PIXELS = 160  # longer side of the sensor's image, pixels; larger images are reduced
 _MOST_SHEET_PX = 1600
 _DIGITS = 4
 Message = dict[str, Any]
 _EVENTS = 200
 _LOOK_S = 0.02
 _SWITCH_S = 0.0005
-_GONE_S = 2.0  # the window stays open this long without a page, as one may be reloaded
+_GONE_S = 2.0  # time without a page after which the window closes; a reload takes less
 
 
 class Window(Listener):
-    """Shows runs in a browser, from its own thread, and lets one page control them.
+    """View of a run in a browser, served from its own thread; one page at a time has control.
 
-    The loop's thread only stores the newest step. With ``alone``, a run pauses if no page controls
-    it. With ``blind``, pages hide what is delivered. ``show`` is called with the address of the
-    page. A run begins when a page is open, or after ``waits_s``. A page that sends nothing for
-    ``lost_s`` loses control. A window that ``stays`` shows the end of a run until `shut`.
+    The run's thread only stores the newest step. With ``alone``, the run pauses while no page has
+    control. With ``blind``, pages hide the stimulus. ``show`` is called with the address of the
+    page. The run begins when a page is open, or after ``waits_s``. A page that sends nothing for
+    ``lost_s`` loses control. With ``stays``, pages show the end of the run until `shut`.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Window(Listener):
         self.server: PageServer = PageServer(self._pages.routes())
         self.steering: Steering
         self.hello: str = ""
-        self.ended: str = ""  # message to pages about the end of the run; empty during the run
+        self.ended: str = ""  # message about the end of the run; empty during the run
         self._event_lock = threading.Lock()
         self._switch_s: float | None = None
         self._shut = threading.Event()
@@ -91,7 +91,7 @@ class Window(Listener):
         return self._context.source
 
     def prepare(self, run: RunContext) -> None:
-        """Serve the page, and wait for it before the board is opened."""
+        """Serve the page, and wait until a browser opens it: the board is opened afterwards."""
         self._context = run
         self.steering = Steering(
             run.controls, self._run_stop, self._keys, alone=self._alone, lost_s=self._lost_s
@@ -109,7 +109,7 @@ class Window(Listener):
             "array": array_message(run.profile),
         }
         self.hello = json.dumps(hello)
-        # Drawing must not hold the loop up for a whole default interval of 5 ms.
+        # With Python's default switch interval, drawing could delay the run loop by 5 ms.
         if sys.getswitchinterval() > _SWITCH_S:
             self._switch_s = sys.getswitchinterval()
             sys.setswitchinterval(_SWITCH_S)
@@ -118,7 +118,7 @@ class Window(Listener):
         self._wait_for_page()
 
     def _wait_for_page(self) -> None:
-        """Wait until a page is open, at most ``waits_s``."""
+        """Wait until a browser has opened the page, at most ``waits_s``."""
         until_s = time.monotonic() + self._waits_s
         while not self._pages and time.monotonic() < until_s:
             if self._run_stop.event.wait(_LOOK_S):
@@ -130,7 +130,7 @@ class Window(Listener):
         self.steering.look_after()
 
     def event(self, event: Event) -> None:
-        """Store an event for the pages, unless it would reveal an answer."""
+        """Store an event for the pages, but hide answers from participants (``blind``)."""
         if isinstance(event, RunEnded | RunFailed):
             self._end = str(event), isinstance(event, RunFailed)
         if self._blind and event.reveals:
@@ -141,7 +141,7 @@ class Window(Listener):
             self._events.append((self._event_count, entry))
 
     def close(self) -> None:
-        """Send the end of the run to pages; stop serving unless the window stays."""
+        """Send the end of the run to the pages, and stop serving unless the window ``stays``."""
         if not self.ended:
             reason, failed = self._end
             self.ended = json.dumps({"type": "ended", "reason": reason, "failed": failed})
@@ -152,7 +152,7 @@ class Window(Listener):
             self.shut()
 
     def stay(self) -> None:
-        """Show the end of a run until all pages are closed, or until Ctrl-C."""
+        """Show the end of the run until all pages are closed or the user presses Ctrl-C."""
         seen_s = time.monotonic()
         with contextlib.suppress(RunStopped, KeyboardInterrupt):
             while time.monotonic() - seen_s < _GONE_S:
@@ -219,7 +219,7 @@ class Window(Listener):
             "force_n": force_n if force_n == force_n else None,
         }
         if self._blind:
-            # Hide the current, as the question may be about it.
+            # Hide the current: the question to the participant may be about the current.
             return state
         return state | {
             "dose_s": dose.seconds,
@@ -232,12 +232,12 @@ class Window(Listener):
 
 
 def _announce(address: str) -> None:
-    print(f"window: {address} (the run begins once it is open)", file=sys.stderr, flush=True)
+    print(f"window: {address} (open it to begin the run)", file=sys.stderr, flush=True)
     open_browser(address)
 
 
 def array_message(profile: Profile) -> Message:
-    """Return the array and limits of a profile as a message."""
+    """Return the electrode array and the limits of a profile as a message to pages."""
     electrodes, limits = profile.electrodes, profile.limits
     radius_mm = 0.42 * min(*electrodes.cell_mm, electrodes.pitch_mm)
     return {
@@ -258,7 +258,7 @@ def array_message(profile: Profile) -> Message:
 
 
 def picture_message(sent: StepResult) -> Message:
-    """Return the image and the sequence of one step as a message."""
+    """Return the image and the scan sequence of one step as a message to pages."""
     step, stimulus, sequence = sent.step, sent.step.input, sent.step.sequence
     picture = {
         "time_s": stimulus.time_ns / 1e9,
@@ -277,7 +277,7 @@ def picture_message(sent: StepResult) -> Message:
 
 
 def sequence_message(sequence: ScanSequence) -> Message:
-    """Return the currents of a sequence as a message; positive is cathodic."""
+    """Return the currents of a scan sequence as a message to pages; positive is cathodic."""
     peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
     return {
         "slots": sequence.slots,
@@ -301,7 +301,7 @@ def _image(image: NDArray[np.uint8]) -> Message:
 
 
 def sheet_message(sheet: Sheet) -> Message:
-    """Return place and size of a page or line, in the coordinates of poses."""
+    """Return size and position of a page or line of print, in the coordinates of poses."""
     return {
         "number": sheet.number,
         "size_mm": [round(length_mm, _DIGITS) for length_mm in sheet.page.size_mm],
@@ -310,7 +310,7 @@ def sheet_message(sheet: Sheet) -> Message:
 
 
 def sheet_png(sheet: Sheet) -> bytes:
-    """Return the picture of a page or line as PNG, reduced to the size of a window."""
+    """Return the picture of a page or line of print as PNG, at most 1600 pixels long."""
     grey = sheet.page.grey
     scale = min(1.0, _MOST_SHEET_PX / max(grey.shape))
     if scale < 1:

@@ -1,4 +1,4 @@
-"""Connected pages of a run: all receive the newest state, one steers, and each can stop the run."""
+"""Browser pages of a run: all receive the newest state, one has control, each can stop the run."""
 
 import asyncio
 import contextlib
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from starlette.routing import BaseRoute
     from starlette.websockets import WebSocket
 
-LOST_S = 0.7  # silence after which a page loses control
+LOST_S = 0.7  # time without a message after which a page loses control
 
 
 class Steering:
-    """Passes the requests of one page to the controls of a run. A page takes control by a request
-    if no other page has it. With ``alone``, the run pauses when no page has control."""
+    """Control of a run by one page at a time. The first request of a page gives it control, unless
+    another page has control. With ``alone``, the run pauses when the page leaves or is lost."""
 
     def __init__(
         self,
@@ -59,11 +59,11 @@ class Steering:
         return self._page
 
     def stop(self) -> None:
-        """End the run with all electrodes at zero; any page may."""
+        """End the run with all electrodes at zero, even for a page without control."""
         self._stop.ask("the window")
 
     def steer(self, page: int) -> bool:
-        """Give a page control if no other has it; return whether it has control."""
+        """Give a page control if no other page has it; return whether this page has control now."""
         with self._lock:
             if self._page is None:
                 self._alive_s, self._page = time.monotonic(), page
@@ -83,14 +83,14 @@ class Steering:
             self._alive_s = time.monotonic()
 
     def look_after(self) -> None:
-        """Release the control of a page that sends nothing any more; from any thread."""
+        """Release control if its page has sent nothing for ``lost_s``; callable from any thread."""
         page = self._page
         if page is not None and time.monotonic() - self._alive_s > self._lost_s:
             self.leave(page)
 
     def act(self, page: int, what: str) -> bool:
-        """Execute a page's request. Return False if another page has control; raise ValueError if
-        the request is unknown."""
+        """Execute the request of a page. Return False if another page has control; raise
+        ValueError if the request is unknown."""
         kind, _, name = what.partition(":")
         if what in self._does:
             does = self._does[what]
@@ -110,29 +110,29 @@ class Steering:
 
 MOST_PAGES = 16
 MOST_HZ = 60
-MOST_MESSAGES_PER_S = 400  # limit for one page, after which it is disconnected
+MOST_MESSAGES_PER_S = 400  # limit for one page; a page that exceeds it is disconnected
 _AT_ZERO = ("none", "pause")  # requests after which no current flows
-_BEAT_S = 0.2  # longest pause between messages to a page, which answers each
+_BEAT_S = 0.2  # longest pause between messages to a page; each answer proves it alive
 _INFORMED_WITHIN_S = 0.5
 
 
 @dataclass
 class ConnectedPage:
-    """One connected page, and the messages it has received."""
+    """One connected browser page, and the state that it has received."""
 
     number: int
-    waits: bool = True  # whether it has drawn the last message
-    ended: str = ""  # message about the end of the run that it has received
+    waits: bool = True  # whether the page has drawn the last message and waits for the next
+    ended: str = ""  # last message of the run, once the page has received it
     shown: StepResult | None = None
     events: int = 0
-    sheet: int | None = None  # number of the sheet that it shows
+    sheet: int | None = None  # number of the sheet (page or line of print) that it shows
     refused: str = ""  # reason why its last request was refused
-    received: int = 0  # number of messages in this second
+    received: int = 0  # number of messages received during ``second``
     second: int = 0
 
 
 class PageState(Protocol):
-    """State of a run, as JSON messages to pages."""
+    """State of a run, as JSON messages to browser pages."""
 
     @property
     def steering(self) -> Steering: ...
@@ -140,24 +140,24 @@ class PageState(Protocol):
     def source(self) -> Source: ...
     @property
     def hello(self) -> str:
-        """The first message of a run."""
+        """The first message of a run to each page."""
 
     @property
     def ended(self) -> str:
         """The last message of a run; empty during the run."""
 
     def sheet_png(self) -> bytes:
-        """Return the picture of the sheet under the finger; empty if there is none."""
+        """Return the page or line of print under the finger as PNG; empty if there is none."""
 
     def has_seen(self, page: ConnectedPage) -> bool:
-        """Return whether a page has seen everything."""
+        """Return whether a page has received the newest step and all events."""
 
     def update(self, page: ConnectedPage) -> str:
         """Return a message with everything that is new for a page."""
 
 
 class Pages:
-    """Connections of all pages of a window."""
+    """Connections of all browser pages of a window."""
 
     def __init__(self, state: PageState) -> None:
         import_server()
@@ -170,7 +170,7 @@ class Pages:
         return len(self._pages)
 
     def routes(self) -> "list[BaseRoute]":
-        """Return the routes that pages use."""
+        """Return the routes of the server that pages use."""
         from starlette.routing import Route, WebSocketRoute
 
         return [
@@ -180,7 +180,7 @@ class Pages:
         ]
 
     def close(self) -> None:
-        """Close all connections after the end of the run was sent."""
+        """Send the end of the run to all pages, and close their connections."""
         self._over.set()
         if self._pages:
             self._all_informed.wait(_INFORMED_WITHIN_S)
@@ -195,13 +195,13 @@ class Pages:
         """Stop the run for a page that has lost its connection."""
         from starlette.responses import Response
 
-        # The server may end first, with the run.
+        # The run may end, and with it the server, before this request is answered.
         with contextlib.suppress(asyncio.CancelledError):
             await self._stop()
         return Response(status_code=204)
 
     async def _stop(self) -> None:
-        # Stopping may wait for the board's line, which must not block other pages.
+        # Stopping may wait for the board's connection: meanwhile, serve other pages.
         await asyncio.to_thread(self._state.steering.stop)
 
     async def _connected(self, socket: "WebSocket") -> None:
@@ -265,8 +265,8 @@ class Pages:
         return True
 
     def _move(self, page: ConnectedPage, place: str) -> bool:
-        """Move the finger to the pointer, if the page has control; return False for an invalid
-        place."""
+        """Move the finger to the pointer if the page has control. Return False if the place is
+        invalid or the source has no pointer."""
         pointer = self._state.source.pointer
         try:
             x_mm, y_mm = map(float, place.split())
@@ -279,14 +279,14 @@ class Pages:
     async def _act(self, page: ConnectedPage, what: str) -> None:
         steering = self._state.steering
         if what.startswith("key:"):
-            # A request may wait for the source's line, which must not block a stop.
+            # A key may wait for the source: meanwhile, a page must be able to stop the run.
             await asyncio.to_thread(steering.act, page.number, what)
         elif not steering.act(page.number, what) and what in _AT_ZERO:
-            # The page may not know yet that another has control, so stop anyway.
+            # The page may not know yet that another page has control, so end the run.
             await self._stop()
 
     async def _feed(self, socket: "WebSocket", page: ConnectedPage) -> None:
-        """Send a page the newest state each time it has drawn the last one."""
+        """Send the newest state to a page each time the page has drawn the previous state."""
         state, sent_s = self._state, 0.0
         await socket.send_text(state.hello)
         while True:

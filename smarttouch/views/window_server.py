@@ -1,5 +1,5 @@
-"""Web server of the window, in its own thread, for this machine only, with a secret in the
-address."""
+"""Web server of the window: runs in its own thread, serves only this machine, and has a secret in
+its address."""
 
 import atexit
 import contextlib
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from starlette.routing import BaseRoute
 
 HOST = "127.0.0.1"
-MOST_MESSAGE_BYTES = 65_536  # longest message from a page; a longer one ends the connection
+MOST_MESSAGE_BYTES = 65_536  # longest message from a page; a longer message ends the connection
 PAGE_FOLDER = Path(__file__).parent / "page"
 _JOIN_S = 1.0
-_FILE_KEPT_S = 60.0  # time for a browser to start and read its file
+_FILE_KEPT_S = 60.0  # time for a browser to start and read the file of `open_browser`
 _LEADS_TO = (
     '<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
     '<meta http-equiv="refresh" content="0;url={0}"><title>SmartTouch</title>'
@@ -50,8 +50,8 @@ _HEADERS = {
 
 
 class PageServer:
-    """Serves the files of the page and some routes. Requests for another host, from another origin
-    or without the secret are refused. Routes are relative to the secret."""
+    """Web server for the page's files and for ``routes``, whose paths follow the secret in the
+    address. It refuses requests for another host, from another origin or without the secret."""
 
     def __init__(self, routes: "Sequence[BaseRoute]") -> None:
         server = import_server()
@@ -59,7 +59,7 @@ class PageServer:
         from starlette.routing import Mount
         from starlette.staticfiles import StaticFiles
 
-        # From now on connections wait instead of being refused.
+        # From here on the system queues connections; before, it would refuse them.
         self._socket = socket.create_server((HOST, 0), backlog=128)
         self.port: int = int(self._socket.getsockname()[1])
         self._prefix = f"/{secrets.token_urlsafe(24)}/"
@@ -89,7 +89,7 @@ class PageServer:
             self._thread.join(_JOIN_S)
         self._socket.close()
 
-    # A thread of lower priority that holds the interpreter lock would delay the loop.
+    # At a lower priority this thread could hold the interpreter lock and delay the run loop.
     @prioritized()
     def _serve(self) -> None:
         self._server.run([self._socket])
@@ -133,7 +133,7 @@ async def _refuse(scope: Any, send: Any) -> None:
 
 
 def import_server() -> Any:
-    """Import uvicorn. Raises SmartTouchError if the extra is missing."""
+    """Import and return uvicorn. Raises SmartTouchError if the extra ``window`` is missing."""
     modules = ("starlette", "websockets", "uvicorn")
     return [import_extra(module, "a window", "window") for module in modules][-1]
 
@@ -146,9 +146,9 @@ def has_browser() -> bool:
 
 
 def open_browser(address: str) -> None:
-    """Open an address in the desktop's browser, if there is one, without waiting. The address
-    contains a secret, and all users can read the arguments of a program. So the browser gets a file
-    that only this user can read and that redirects to the address."""
+    """Open an address in the desktop's browser, if there is one, without waiting. The address has a
+    secret, and all users of the machine can read the arguments of a program. So the browser gets
+    the name of a file that only this user can read and that redirects to the address."""
     if not has_browser():
         return
 

@@ -1,4 +1,4 @@
-// The page of a run: takes the newest, steers, and stops.
+// Page of a run: shows its newest state, controls it and stops it.
 
 import { ElectrodesView, PageView, SensorView, SeriesView, bytes, calm, latencyOf } from "./views.js";
 import { SlotPlayer } from "./slots.js";
@@ -28,7 +28,7 @@ function say(message) {
 function stop() {
   if (over) return;
   say("stop");
-  // Beside it, by another way: the connection may be lost.
+  // Also send a request, because the connection of the socket may be lost.
   fetch("stop", { method: "POST", keepalive: true }).catch(() => {});
   setStatus("stopping …", "waits");
 }
@@ -54,7 +54,7 @@ function connect() {
   socket.addEventListener("close", () => {
     if (over) return;
     setStatus("not connected", "waits");
-    alertUser("The connection is lost. Stop still asks for the end; else press q in the terminal, or type: smarttouch stop");
+    alertUser("The connection is lost. Stop may still end the run. If it does not, press q in the terminal, or type: smarttouch stop");
     disable(true);
     setTimeout(connect, 1000);
   });
@@ -133,7 +133,7 @@ function draw(now) {
   }
 }
 
-// Pictures in words, as often as somebody can read them.
+// Describes the pictures for screen readers, at most once a second, so that they can be read out.
 function describe() {
   if (!newest) return;
   find("electrodes").setAttribute("aria-label", views.electrodes.words());
@@ -164,7 +164,7 @@ function showState() {
   find("slider").max = 100 * state.most;
   if (performance.now() - slidAt > CALM_MS) find("slider").value = 100 * state.level;
   find("words-read").textContent = state.words;
-  find("pause").textContent = state.paused ? "Go on" : "Pause";
+  find("pause").textContent = state.paused ? "Resume" : "Pause";
   find("pause").setAttribute("aria-pressed", String(state.paused));
   const mine = state.steers === "you";
   find("steer").setAttribute("aria-pressed", String(mine));
@@ -174,7 +174,7 @@ function showState() {
   if (state.level >= state.most) find("more").disabled = true;
   for (const each of find("modes").children) each.setAttribute("aria-pressed", String(each.dataset.mode === state.mode));
   if (state.phase !== "running") setStatus(state.phase, "waits");
-  else setStatus(state.paused ? "paused" : state.level ? "running" : "running, no intensity", state.paused ? "waits" : "runs");
+  else setStatus(state.paused ? "paused" : state.level ? "running" : "running at zero intensity", state.paused ? "waits" : "runs");
   const { limits } = array;
   const picture = views.blind ? null : newest;
   table([
@@ -190,12 +190,12 @@ function showState() {
       ["dose", `${state.dose_mc.toFixed(2)} of ${limits.session_mc} mC`],
       ["sequences", `${state.sequences}, ${state.acknowledged} acknowledged`],
       ["late", String(state.late)],
-      ["own work", `${(100 * state.work_share).toFixed(1)} % of the scans`],
+      ["computing", `${(100 * state.work_share).toFixed(1)} % of the scans`],
     ]),
   ].filter(Boolean));
 }
 
-// Rows of a list of terms, made once and then changed in place.
+// Returns the value elements of a list of terms. They are replaced only if the names change.
 function rows(id, names, make) {
   const list = find(id);
   if (list.dataset.names !== names.join()) {
@@ -242,7 +242,7 @@ function end({ reason, failed }) {
   find("stop").disabled = true;
 }
 
-// The pointer over the page is the hand on the texture.
+// The pointer moves the finger on the page or texture.
 find("page").addEventListener("pointermove", (event) => {
   const place = views.moves && views.page.under(event);
   if (place) say(`move ${place.join(" ")}`);
@@ -264,7 +264,7 @@ document.addEventListener("keydown", (event) => {
   if (event.key === "Escape" || event.key === " ") {
     event.preventDefault();
     event.stopPropagation();
-    // A page that another one steers can only stop the run.
+    // While another page has control, this page can only stop the run.
     if (event.key === "Escape" || find("pause").disabled) stop();
     else if (!event.repeat) find("pause").click();
     return;
@@ -278,7 +278,7 @@ document.addEventListener("keydown", (event) => {
   else return;
   event.preventDefault();
 }, true);
-// A button would act on the release of the space that has just acted.
+// Otherwise a focused button would also act when the space bar is released.
 document.addEventListener("keyup", (event) => {
   if (event.key === " ") event.preventDefault();
 }, true);

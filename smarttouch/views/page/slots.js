@@ -1,4 +1,4 @@
-// Slots of a scan: the whole of it, one by one and slow, or by hand.
+// Slots of a scan, shown all at once, as a slow sequence, or one by one with buttons.
 
 import { calm } from "./views.js";
 
@@ -18,7 +18,7 @@ export class SlotPlayer {
     return this.timer !== undefined;
   }
 
-  // The newest is drawn at once as a whole; slot by slot, once the scan before is through.
+  // A whole scan is drawn at once. Slot by slot, a new scan begins when the last scan was shown.
   take(picture) {
     if (this.slot === null || !this.view.picture) {
       this.view.take(picture);

@@ -6,8 +6,8 @@ const BASE = [236, 238, 241];
 const EDGE = "#8b98a4";
 const INK = "#16202a";
 const MARGIN_MM = 1.2; // around the electrodes, for the scale bar
-const LASTS_S = 20; // of the time series of a run
-// Part of the strongest current from which a sign on it is white.
+const LASTS_S = 20; // seconds that the time series shows
+// Current relative to full current above which the sign on an electrode is drawn in white.
 const DEEP = 0.45;
 
 export function bytes(text) {
@@ -21,7 +21,7 @@ export function numbers(text) {
   return new Int16Array(bytes(text).buffer);
 }
 
-// Color of an electrode: the part of the strongest current, with its sign.
+// Returns the color of an electrode for its current relative to full current.
 export function currentColor(part) {
   const target = part < 0 ? ANODIC : CATHODIC;
   const share = Math.min(1, Math.abs(part));
@@ -29,14 +29,14 @@ export function currentColor(part) {
   return `rgb(${mixed.join(",")})`;
 }
 
-/** Latency of a picture in words: to the first pulse, if the board says when that was. */
+/** Latency as text: to the first pulse, if the board reports its time, else to the last byte. */
 export const latencyOf = (picture) =>
   picture.pulse_ms === null
     ? `${picture.latency_ms.toFixed(1)} ms, to last byte`
     : `${picture.pulse_ms.toFixed(1)} ms, to first pulse`;
 export const calm = () => window.matchMedia("(prefers-reduced-motion: reduce)").matches;
 
-// A canvas in millimeters, with the array's own places.
+// A canvas in millimeters, with the center of the electrode array as origin.
 class Field {
   constructor(canvas, halfWidth, halfHeight, longest = 560) {
     this.canvas = canvas;
@@ -54,7 +54,7 @@ class Field {
     this.paint.clearRect(0, 0, this.canvas.width, this.canvas.height);
   }
 
-  // A bar of whole millimeters at the lower right.
+  // Draws a scale bar at the lower right.
   bar() {
     const { paint, canvas, scale } = this;
     const most = (0.3 * canvas.width) / scale;
@@ -91,7 +91,7 @@ export class ElectrodesView {
     this.field = new Field(canvas, this.half[0], this.half[1]);
     this.current = null;
     canvas.addEventListener("pointermove", (event) => {
-      // The picture is as large as it can be within the canvas.
+      // The picture is fitted into the canvas with its proportions kept.
       const side = Math.min(canvas.clientWidth / canvas.width, canvas.clientHeight / canvas.height);
       const part = (at, size, own) => 0.5 + (at - size / 2) / (own * side);
       canvas.title = this.nameOf(this.nearest(
@@ -101,7 +101,7 @@ export class ElectrodesView {
     this.draw();
   }
 
-  // The electrode nearest to a place, as parts of the picture.
+  // Returns the electrode nearest to a place, given as shares of the picture's width and height.
   nearest(x, y) {
     const [wide, high] = this.half;
     const away = this.array.place_mm.map(([a, b]) => Math.hypot(a - (2 * x - 1) * wide, b - (2 * y - 1) * high));
@@ -114,7 +114,7 @@ export class ElectrodesView {
     return `electrode ${electrode} at ${x.toFixed(1)}, ${y.toFixed(1)} mm: ${current.toFixed(3)} mA`;
   }
 
-  // Takes a picture; its currents are drawn as a whole scan or slot by slot.
+  // Stores a picture; `show` draws its scan or one slot.
   take(picture) {
     this.picture = picture;
     this.slots = picture.slots;
@@ -127,7 +127,7 @@ export class ElectrodesView {
     });
   }
 
-  // Draws a slot, or the strongest of all slots where it is null.
+  // Draws a slot; if null, the strongest current of each electrode in all slots.
   show(slot) {
     const count = this.array.place_mm.length;
     this.current = slot === null ? this.strongest : this.all.subarray(slot * count, (slot + 1) * count);
@@ -149,7 +149,7 @@ export class ElectrodesView {
     field.bar();
   }
 
-  // The number of an electrode, where there is room for it.
+  // Draws the number of an electrode if the electrode is large enough.
   name(place, number, onDeep) {
     const { paint, scale } = this.field;
     const size = 0.55 * this.array.radius_mm * scale;
@@ -161,7 +161,7 @@ export class ElectrodesView {
     paint.fillText(number, x, y + 0.85 * this.array.radius_mm * scale);
   }
 
-  // The sign is told by its shape, too: a cross is cathodic, a bar anodic.
+  // Draws the sign of a current for color-blind readers: a plus is cathodic, a minus anodic.
   sign(place, positive, onDeep) {
     const { paint, scale } = this.field;
     const [x, y] = this.field.at(place);
@@ -201,7 +201,7 @@ export class SensorView {
   }
 }
 
-// A page in millimeters, on which the finger moves; without one, what the sensor has seen so far.
+// The page with the finger on it; without a page, everything that the sensor has seen so far.
 export class PageView {
   constructor(canvas, array) {
     this.canvas = canvas;
@@ -210,7 +210,7 @@ export class PageView {
     this.lay(null);
   }
 
-  // Lays a page under the finger: its corner and size in mm, and its picture once it is loaded.
+  // Sets the page under the finger by corner and size, mm; its picture is shown once it is loaded.
   lay(sheet, address) {
     const [wide, high] = sheet?.size_mm ?? [4 * this.array.field_mm[0], 2 * this.array.field_mm[1]];
     this.corner = sheet?.corner_mm ?? null;
@@ -227,18 +227,18 @@ export class PageView {
     page.src = address;
   }
 
-  // Place of a pose on the canvas; without a page the first pose is in the middle.
+  // Returns the place of a pose on the canvas. Without a page the first pose is in the middle.
   at([x, y]) {
     const { canvas, scale } = this;
     this.corner ??= [x - canvas.width / scale / 2, y - canvas.height / scale / 2];
     return [(x - this.corner[0]) * scale, (y - this.corner[1]) * scale];
   }
 
-  // Place of the pointer on the page, mm; null while there is no page.
+  // Returns the place of the pointer on the page, mm; null without a page or outside the page.
   under({ offsetX, offsetY }) {
     const { canvas, corner, scale } = this;
     const { clientWidth, clientHeight } = canvas;
-    // Pixels of the screen in a millimeter: the picture is fitted into the canvas.
+    // screen pixels per millimeter: the picture is fitted into the canvas
     const zoom = scale * Math.min(clientWidth / canvas.width, clientHeight / canvas.height);
     const x = (offsetX - clientWidth / 2) / zoom + canvas.width / scale / 2;
     const y = (offsetY - clientHeight / 2) / zoom + canvas.height / scale / 2;
@@ -253,7 +253,7 @@ export class PageView {
     this.draw(picture.pose);
   }
 
-  // Puts what the sensor sees where it sees it.
+  // Draws the sensor's image at the sensor's place.
   see(image, [x, y, angle]) {
     const small = document.createElement("canvas");
     new SensorView(small).take(image);
@@ -299,7 +299,7 @@ export class PageView {
   }
 }
 
-// Current, charge and force over time, each below its limit.
+// Current, charge and force over time, each with its limit.
 export class SeriesView {
   constructor(canvas, array) {
     this.canvas = canvas;
