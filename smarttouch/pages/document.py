@@ -1,4 +1,4 @@
-"""Documents: PDF with text, multi-page TIFF or image, loaded page by page."""
+"""Documents, loaded page by page: PDF with its text, multi-page TIFF, or other images."""
 
 import contextlib
 import ctypes
@@ -36,24 +36,24 @@ if TYPE_CHECKING:
 
 PDF_DPI = 300.0
 MOST_RENDERED_PIXELS = 36_000_000
-"""Largest rendering of a PDF page, A2 at 300 dots per inch. Larger pages are rendered coarser: most
-are scans with one point per pixel."""
+"""Largest rendering of a PDF page: A2 at 300 dots per inch. Larger pages are rendered at a lower
+resolution, because most of them are scans whose PDF counts each pixel as a point (1/72 inch)."""
 GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
 _LEAST_BELIEVED_DPI = 50.0
-"""Lowest plausible resolution; files state less (1 or 72 by default) where it is unknown."""
+"""Lowest plausible resolution. Lower values, and 72, are defaults for an unknown resolution."""
 
 
 class LockedError(PageError):
-    """A PDF needs a password, or another one."""
+    """Error for a PDF whose password is missing or wrong."""
 
 
 class Document(Closing):
-    """Pages of a PDF, TIFF or other image, identified by content and loaded on request.
+    """Pages of a PDF, TIFF or other image, loaded on request; the content decides on the format.
 
-    A PDF is rendered, including filled-in forms, and provides its text. An image file is open only
-    during loading. Only one thread at a time may load pages. ``notes`` lists assumptions. ``dpi``
-    replaces an image's resolution, or the 300 for rendering PDFs; ``page_width_mm`` replaces the
-    scale.
+    A PDF page is rendered with its filled-in forms, and provides its text. An image file is open
+    only while a page is loaded. Only one thread at a time may load pages. ``notes`` lists
+    assumptions. ``dpi`` replaces an image's own resolution, or the 300 dpi at which PDF pages are
+    rendered; ``page_width_mm`` replaces the page's own width.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Document(Closing):
         password: str | None = None,
     ) -> None:
         if dpi is not None and page_width_mm is not None:
-            raise PageError("dpi and a width are both given: give one of them")
+            raise PageError("dpi and a width are both set: give only one of them")
         for name, value in (("dpi", dpi), ("width", page_width_mm)):
             if value is not None:
                 require_within(PageError, name, value, 0, math.inf, above=True)
@@ -100,13 +100,13 @@ class Document(Closing):
             with contextlib.closing(self._pdf[index]) as sheet:
                 with contextlib.closing(sheet.get_textpage()) as text:
                     printed: int = text.count_chars()
-                # Make filled-in fields a part of the page and its text.
+                # Make filled-in form fields a part of the page and of its text.
                 pypdfium2.raw.FPDFPage_Flatten(sheet, pypdfium2.raw.FLAT_NORMALDISPLAY)
             with contextlib.closing(self._pdf[index]) as sheet:
                 return self._pdf_page(sheet, name, printed)
-        # PDFium cannot tell the rotation of a damaged page.
+        # pypdfium2 raises KeyError for the rotation of a damaged page.
         except (pypdfium2.PdfiumError, KeyError):
-            raise PageError(f"{name} cannot be read: the file is damaged") from None
+            raise PageError(f"{name} is damaged: save the file again") from None
 
     def _image_page(self, index: int) -> Page:
         with open_image(self.path) as image:
@@ -134,7 +134,7 @@ class Document(Closing):
             signs = list(_signs(sheet, printed))
         width, height = sheet.get_size()
         if not min(width, height) > 0:
-            raise PageError(f"{name} has no area: the file is damaged")
+            raise PageError(f"{name} has no area: save the file again")
         point_mm = self._page_width_mm / width if self._page_width_mm else INCH_MM / 72
         require_size_mm(name, width * point_mm, height * point_mm, "width")
         finest_dpi = INCH_MM * math.sqrt(MOST_RENDERED_PIXELS / (width * height)) / point_mm
@@ -142,7 +142,7 @@ class Document(Closing):
         scale = point_mm / mm_per_pixel
         require_pixels(name, math.ceil(width * scale), math.ceil(height * scale))
         with contextlib.closing(sheet.render(scale=scale, grayscale=True)) as bitmap:
-            # Copy, because the bitmap frees its memory.
+            # Copy, because closing the bitmap frees its memory.
             grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
         page = Page(grey, mm_per_pixel)
         return _with_text(page, signs, point_mm) if signs else page
@@ -151,7 +151,7 @@ class Document(Closing):
 def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None":
     """Return an open PDF; None for other files."""
     with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
-        # Readers search for the header within these bytes (ISO 32000-1, Annex H.3.4.1).
+        # Readers accept the header in the first 1024 bytes (ISO 32000-1, Annex H.3.4.1).
         if b"%PDF-" not in file.read(1024):
             return None
     try:
@@ -164,7 +164,7 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
     except pypdfium2.PdfiumError as error:
         if "password" not in str(error).lower():
             raise PageError(f"{path} is damaged, or has no pages: save it again") from None
-        wrong = "" if password is None else ", and this is not its password"
+        wrong = "" if password is None else ", and the password is wrong"
         options = "--password-file FILE, or page:FILE?password_file=FILE"
         raise LockedError(f"{path} is locked{wrong}: give {options}") from None
     # Initialize forms before any page is opened, to render filled-in fields.
@@ -173,16 +173,16 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
     return pdf
 
 
-_STAMP = 100  # largest number of characters of a rotated stamp
-_LEVEL = 10.0  # angle, degrees, above which text is slanted
-_FINE = 1000.0  # PDFium's places are in 1/1000 point
+_STAMP = 100  # most rotated characters that are a stamp; with more, the page is rotated
+_LEVEL = 10.0  # deviation from horizontal or vertical, degrees, from which text is slanted
+_FINE = 1000.0  # units per point in which PDFium is asked for integer coordinates
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
 _SPACES = _NONE, _MOVED, _MADE, _TYPED = ("", "\n", "\t", " ")
-"""Values of `Segment.space`: nothing, a new line, a gap, or a space in the file."""
+"""`Segment.space`: no space, a line break, a space that PDFium inserts, or a space in the file."""
 
 
 def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
-    """Yield the characters on the visible page, in the order of the file."""
+    """Yield the characters within the page's visible area, in the order of the file."""
     import pypdfium2.raw as pdfium
 
     width, height = sheet.get_size()
@@ -219,16 +219,16 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
                 space = _NONE
 
 
-_ABOVE, _AROUND = 0.95, 0.3  # area that belongs to a letter, in letter sizes
-_FAINT = 12  # contrast, levels, below which print is invisible
+_ABOVE, _AROUND = 0.95, 0.3  # area of a letter above and below its baseline, in letter sizes
+_FAINT = 12  # contrast, gray levels, below which print is invisible
 _MOST_UNKNOWN = 0.05  # largest share of undefined characters in a text
-_MOSTLY = 0.5  # largest ratio of print without text to print with text
+_MOSTLY = 0.5  # largest length of lines without text, relative to lines with text
 _ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
-_BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # codes of symbol fonts
+_BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # a character of a symbol font
 
 
 def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
-    """Return a rendered page with its text, if the text covers most of its print."""
+    """Return a rendered page, with its text if the text covers most of the print."""
     seen, rest = _erased(page, signs, point_mm)
     turned = [sign for sign in seen if sign.turn_deg != 0]
     letters = [unicodedata.bidirectional(sign.text[0]) for sign in seen]
@@ -246,44 +246,43 @@ def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
         2 * len(turned) > len(seen) or unknown > _MOST_UNKNOWN * len(seen)
         or missing > _MOSTLY * read
     ):  # fmt: skip
-        reason = "most of its text is turned or unknown, or much of its print is not text"
-        return replace(page, notes=(f"{reason}, so its picture is recognized instead",))
+        reason = "most of the text is turned or unreadable, or much print has no text"
+        return replace(page, notes=(f"{reason}: the picture is recognized instead",))
     stamps = "".join((" " if sign.space else "") + sign.text for sign in turned).strip()
     notes = {
         DOUBTFUL: any(line.is_doubtful for line in ordered),
         f"turned text is left out: {stamps}": turned,
         f"text that is not visible is left out (characters: {hidden})": hidden,
-        f"print that is not in its text is left out (lines: {len(others)})": others,
+        f"print that is not text in the file is left out (lines: {len(others)})": others,
     }
     said = tuple(note for note, is_so in notes.items() if is_so)
     return replace(page, lines=tuple(lines), words=tuple(texts), notes=said)
 
 
 _SMALLER, _SHIFTED, _NEAR = 0.95, (0.1, 0.8), 0.55
-"""Size of super- and subscripts, distance from the baseline, and distance from their word."""
-_INITIAL = 1.8  # size of drop caps
-_TOUCHING, _FARTHEST = 0.3, 2.5  # gaps that are never, and always, a space
-_SPACED, _WIDER = 0.8, 1.5  # gap of letter-spaced text, and relative gap between its words
-_EVEN, _EACH = 0.25, 0.4  # variation of spaces in justified text, and width per space
+"""Super- and subscripts: largest size relative to the word, distance from its baseline, and gap."""
+_INITIAL = 1.8  # smallest size of a drop cap relative to the text
+_TOUCHING, _FARTHEST = 0.3, 2.5  # gap from which a line break is a space; gap that ends a segment
+_SPACED, _WIDER = 0.8, 1.5  # widest letter spacing; smallest gap between words, in letter spacings
+_EVEN, _EACH = 0.25, 0.4  # justified text: largest difference of spaces; width per space
 
 
 def _segments(signs: list[Segment]) -> list[Segment]:
-    """Join characters of horizontal text to segments, with ``^`` and ``_`` before super- and
-    subscripts."""
+    """Join characters of horizontal text to segments; mark scripts by ``^`` above, ``_`` below."""
     segments: list[Segment] = []
     for line in split(
         signs, lambda last, sign: abs(sign.y - last.y) > _SHIFTED[1] * max(sign.size, last.size)
     ):
         tracking, widest = _spacing(line)
         for last, sign in itertools.pairwise([None, *line]):
-            if sign and not (last and _is_joined(segments[-1], last, sign, tracking, widest)):
+            if sign and not (last and _join(segments[-1], last, sign, tracking, widest)):
                 segments.append(replace(sign))
     return segments
 
 
 def _spacing(line: list[Segment]) -> tuple[float, float]:
-    """Return the gap of letter-spaced text and the widest space of justified text, in letter sizes;
-    0 if a line is neither."""
+    """Return the letter spacing and the widest gap within a segment, in letter sizes. Both are 0
+    unless the line is letter-spaced or justified."""
     gaps = [sign.gap(last) for last, sign in itertools.pairwise(line)]
     spaces = [gap for gap, sign in zip(gaps, line[1:], strict=True) if sign.space == _MADE]
     tracking = statistics.median(gaps) if len(gaps) > 2 else 0.0
@@ -293,10 +292,8 @@ def _spacing(line: list[Segment]) -> tuple[float, float]:
     return 0.0, _EACH * (len(spaces) + 1) * is_even
 
 
-def _is_joined(
-    segment: Segment, last: Segment, sign: Segment, tracking: float, widest: float
-) -> bool:
-    """Append a character to the last segment if it belongs there; return whether it does."""
+def _join(segment: Segment, last: Segment, sign: Segment, tracking: float, widest: float) -> bool:
+    """Append a character to the last segment if it belongs to it; return whether it does."""
     gap = sign.gap(last)
     raised = (segment.y - sign.y) / max(segment.size, sign.size)
     is_space = sign.space == _TYPED or (
@@ -320,7 +317,7 @@ def _is_joined(
     return True
 
 
-_ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # of most fonts, in letter sizes
+_ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # typical of fonts, in letter sizes
 
 
 def _text_line(line: Line, point_mm: float) -> TextLine:
@@ -338,7 +335,7 @@ def _text_line(line: Line, point_mm: float) -> TextLine:
 
 
 def _erased(page: Page, signs: list[Segment], point_mm: float) -> tuple[list[Segment], Page]:
-    """Return the visible characters, and the page without them."""
+    """Return the visible characters, and the page with all characters erased."""
     scale, seen, grey = point_mm / page.mm_per_pixel, [], page.grey.copy()
     for sign in signs:
         above, around = _ABOVE * sign.size, _AROUND * sign.size
@@ -353,11 +350,12 @@ def _erased(page: Page, signs: list[Segment], point_mm: float) -> tuple[list[Seg
 
 
 _COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 4
-"""Limits of spots that may be print without text: pixels, height, contrast and number."""
+"""Search for print without text: pixel size and range of letter heights, mm; smallest contrast,
+gray levels; smallest number of letters."""
 
 
 def _print_on(page: Page) -> list[TextLine]:
-    """Return the lines of print that remain on a page without its text."""
+    """Return the lines of print on a page from which all text was erased."""
     step = page.mm_per_pixel / _COARSE_MM
     coarse = cv2.resize(page.grey, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
     ink = np.abs(coarse - np.median(coarse)) > _CONTRAST
@@ -365,6 +363,6 @@ def _print_on(page: Page) -> list[TextLine]:
     low, high = (height / _COARSE_MM for height in _LETTERS_MM)
     if np.count_nonzero((heights >= low) & (heights <= high)) < _FEWEST_SPOTS:
         return []
-    # A scan may be rotated.
+    # Print in a scan may be rotated by 90°.
     turned = Page(np.ascontiguousarray(np.rot90(page.grey)), page.mm_per_pixel)
     return find_lines(page, None) or find_lines(turned, None)

@@ -1,4 +1,4 @@
-"""Separation of ink from paper, for uneven light and both polarities."""
+"""Separation of ink from paper in uneven light, for dark print and for light print."""
 
 import math
 from dataclasses import dataclass
@@ -10,45 +10,45 @@ from numpy.typing import NDArray
 Grey = NDArray[np.uint8]
 
 _WINDOW_PX = 41  # wider than strokes of text, so that a morphological closing leaves only paper
-_PAPER = 210.0  # level of normalized paper, with headroom for grain
-_CONTRAST, _PALE = 0.12, 0.2  # smallest contrast of ink and of pale print, relative to paper
+_PAPER = 210.0  # gray level of normalized paper; its bright grains are above
+_CONTRAST, _PALE = 0.12, 0.2  # smallest contrast of ink, and of pale print, relative to paper
 _GRAINS, _FEWEST = 6.0, 2e-4
-"""Smallest contrast relative to grain; smallest share of the page with it."""
+"""Smallest contrast of ink, in standard deviations of the paper's grain; smallest share of ink."""
 _CALM, _GRAINY = 5.0, 9.0
-"""Grain up to which thresholds follow the ink, and above which they do not."""
+"""Grain, gray levels, up to which the threshold follows nearby ink, and from which only all ink."""
 
 
 @dataclass(frozen=True, eq=False)
 class Paper:
-    """Page as dark on light, with a mask of its ink."""
+    """Page converted to dark on light, with a mask of its ink."""
 
     ink: NDArray[np.bool_]  # (H, W); empty on blank paper
     cleaned: Grey  # (H, W), with paper exactly 255 and ink near 0
     light_on_dark: bool
-    faint: bool = False  # whether faint marks, as from the back of the sheet, were left out
+    faint: bool = False  # whether faint marks, such as print on the back, were left out
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
-    """Separate ink from paper in an image, (H, W) uint8; detect the polarity by default.
+    """Separate ink from paper in an image, (H, W) uint8; by default, detect light print on dark.
 
-    The threshold is near the middle of paper and ink. On paper with little grain it follows local
-    ink. Pale print beside black counts as ink only on digital pages without grain.
+    The threshold is near the mean of paper and ink. On paper with little grain, it follows the ink
+    nearby. Pale print beside black print is ink only on digital pages, which have no grain.
     """
     light_on_dark = is_light_on_dark(grey) if light_on_dark is None else light_on_dark
     grey = ~grey if light_on_dark else grey
     factor = 1 if grey.size < 80_000 else 2 if grey.size < 320_000 else 4
     height, width = (side // factor for side in grey.shape)
-    whole = grey[: height * factor, : width * factor]  # a whole factor is fastest
+    whole = grey[: height * factor, : width * factor]  # OpenCV is fastest with an integer factor
     small = np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     paper = _find_paper(small, min(_WINDOW_PX / factor, math.sqrt(small.size) / 12))
-    # Sample single pixels: averages would hide the grain.
+    # Sample pixels, because averages would hide the grain.
     flat = cv2.resize(grey, paper.shape[::-1], interpolation=cv2.INTER_NEAREST)
     flat = np.where(paper > 0, cv2.divide(flat, paper, scale=_PAPER), np.uint8(255))
     pixels, level = np.append(flat[paper > 0], np.uint8(_PAPER)), np.arange(256)
     counts = np.bincount(pixels, minlength=256)
     bright = np.where(level > 0.7 * _PAPER, counts, 0).cumsum()
     low, middle, high = np.interp(np.array([1, 2, 3]) / 4 * bright[-1], bright, level + 0.5)
-    grain = max((high - low) / 1.349, 1.0)  # standard deviation from the quartiles
+    grain = max((high - low) / 1.349, 1.0)  # standard deviation, from the quartiles
     sure, pale = (middle - max(part * middle, _GRAINS * grain) for part in (_CONTRAST, _PALE))
     otsu, _ = cv2.threshold(pixels, 0, 255, cv2.THRESH_OTSU)
     first = int(min(otsu if grain > 1 else max(otsu, pale), middle - 4 * grain))
@@ -60,7 +60,7 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
         white = np.full_like(grey, 255)
         return Paper(white < 255, white, light_on_dark)
     window = (round(20 / factor) | 1,) * 2
-    # local means weighted by depth, in which pale edges of strokes have little weight
+    # local mean depth of ink, weighted by depth, so that pale edges of strokes count little
     depth = np.where(flat <= first, np.float32(middle) - flat, np.float32(0))
     typical = np.vdot(depth, depth) / depth.sum()
     around = cv2.blur(depth * depth, window) + 0.02 * typical**2
@@ -79,30 +79,30 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
 
 
 def _find_paper(small: Grey, side: float) -> Grey:
-    """Estimate the level of the paper without ink, (h, w); 0 without paper."""
+    """Estimate the gray level of the paper under the ink, (h, w); 0 where there is no paper."""
     near = _closed(small, side)
     far = cv2.resize(_closed(near[::4, ::4], 5 * side / 4), near.shape[::-1])
-    # Dark areas wider than the window are headlines, unless they reach the edge.
+    # A dark area wider than the window is large print, unless it reaches the edge.
     count, labels = cv2.connectedComponents((near < 0.4 * far).view(np.uint8))
     at_edge = np.arange(count) < 1
     for side_labels in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
         at_edge[side_labels] = True
     paper = np.where(at_edge[labels], near, far) if count > 1 else near
-    # At the edge of a sheet or a shadow use the darker side.
+    # At the edge of a sheet or shadow, use the level of the darker side.
     paper = cv2.erode(paper, np.ones((5, 5), np.uint8))
     least = max(40, np.percentile(paper[::2, ::2], 95) / 4)
     return np.where(paper < least, np.uint8(0), paper)
 
 
 def _closed(image: Grey, side_px: float) -> Grey:
-    """Remove dark spots narrower than a window."""
+    """Remove dark spots narrower than ``side_px`` (morphological closing)."""
     square = np.ones((max(3, round(side_px)) | 1,) * 2, np.uint8)
-    calm = cv2.blur(image, (3, 3))  # or the brightest grains would determine the result
+    calm = cv2.blur(image, (3, 3))  # otherwise the brightest grains would determine the result
     return np.asarray(cv2.blur(cv2.erode(cv2.dilate(calm, square), square), (3, 3)), np.uint8)
 
 
 def is_light_on_dark(grey: Grey) -> bool:
-    """Return whether a page is printed light on dark, by the skewness of its levels."""
+    """Return whether a page is printed light on dark; the skewness of its gray levels decides."""
     step = max(1, round(math.sqrt(grey.size / 6000)))
     small = grey[::step, ::step].astype(np.float32)
     window = (max(3, round(math.sqrt(small.size) / 16)) | 1,) * 2

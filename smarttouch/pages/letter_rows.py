@@ -1,5 +1,5 @@
-"""Rows of letters: connected components of ink, linked from left to right within columns; and their
-measures: baseline with skew and curvature, x-height, and whether they are text."""
+"""Rows of letters: connected components of ink, linked from left to right within columns. For each
+row, the baseline with its curvature, the x-height, and whether it is text are determined."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,17 +16,17 @@ Ink = NDArray[np.bool_]
 Indices = NDArray[np.int_]
 
 _LEAST_SIDE, _LARGEST_PART = 3, 0.25
-"""Smallest height of a letter, px, and size above which a component is not a letter, relative to
-the page's shorter side."""
-_DOT = 0.7  # filled share of the box above which a component is a dot
+"""Smallest height of a letter, px, and largest height of a letter, relative to the page's shorter
+side."""
+_DOT = 0.7  # share of ink in its box from which a component is a dot
 _RULE = 12.0  # ratio of length to thickness above which a component is a rule
-_LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the typical one
+_LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the typical height
 _COMMA = (0.8, 0.5)  # largest height and width of a comma or quote, in typical heights
 _LONGEST = 40.0  # largest ratio of length to height of a word with touching letters
-_UNDERLINE, _THIN = 3.0, 0.3  # least length and largest thickness, in letter heights
+_UNDERLINE, _THIN = 3.0, 0.3  # underline: least length, largest thickness, in letter heights
 _TWO_LINES, _LEAST_LINE = 1.7, 0.6
-"""Heights, in letter heights, of a component that may span two lines, and of a line."""
-_VALLEY = 0.25  # ink between two touching lines, relative to the ink in each
+"""Smallest heights, in letter heights, of a component that may span two lines, and of a line."""
+_VALLEY = 0.25  # most ink of a pixel row between two touching lines, relative to each line
 
 
 def weighted_median(values: Indices | Floats, weight: Floats) -> float:
@@ -57,7 +57,7 @@ class Components(NamedTuple):
 
     @property
     def usual_height(self) -> float:
-        """Median height, px, weighted by size."""
+        """Median height, px, weighted by the square root of the area."""
         return weighted_median(self.height, np.sqrt(self.area))
 
     @property
@@ -66,17 +66,17 @@ class Components(NamedTuple):
         return float(self.right.max() - self.left.min()) / self.usual_height
 
     def box(self, index: int) -> tuple[slice, slice]:
-        """Return the rows and columns of a component."""
+        """Return the slices of rows and columns of a component's box."""
         return np.s_[self.top[index] : self.bottom[index], self.left[index] : self.right[index]]
 
     def of(self, chosen: NDArray[np.bool_] | Indices) -> "Components":
-        """Return some of the components."""
+        """Return the components that a mask or indices select."""
         return Components(*(column[chosen] for column in self))
 
 
 def find_components(ink: Ink) -> tuple[Components, NDArray[np.int32]]:
     """Return the components of a mask of ink, (H, W), and their labels, (H, W), from 1."""
-    # The default algorithm is less than half as fast.
+    # This algorithm is more than twice as fast as the default.
     _, labels, boxes, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
         ink.view(np.uint8), 8, cv2.CV_32S, cv2.CCL_GRANA
     )
@@ -90,13 +90,13 @@ def usual_height(components: Components, shape: tuple[int, int]) -> float | None
     height, width = components.height, components.width
     is_letter = (height >= _LEAST_SIDE) & (height < _LARGEST_PART * min(shape))
     is_letter &= (width < _RULE * height) & (height < _RULE * width)
-    # Leader dots may outnumber letters.
+    # Exclude dots: the leader dots of a table of contents may outnumber the letters.
     is_letter &= (components.area < _DOT * width * height) | (height > 2 * width)
     return components.of(is_letter).usual_height if is_letter.any() else None
 
 
 def like_letters(components: Components, height: float) -> NDArray[np.bool_]:
-    """Return for each component, (N,), whether it may be a letter or several touching ones."""
+    """Return for each component, (N,), whether it may be a letter or several touching letters."""
     tall, wide = components.height, components.width
     right_size = (tall >= _LETTER[0] * height) & (tall <= _LETTER[1] * height)
     right_size &= (tall > _COMMA[0] * height) | (wide > _COMMA[1] * height)
@@ -106,10 +106,10 @@ def like_letters(components: Components, height: float) -> NDArray[np.bool_]:
 def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
     """Return masks, (H, W), of horizontal rules and underlines, and of vertical rules."""
     page, long = ink.view(np.uint8), round(_RULE * height)
-    # In some scripts letters hang from a line above.
+    # An underline has no ink below: in some scripts letters hang from a line.
     thick = max(3, round(_THIN * height))
     bare = page & ~np.pad(page, ((0, thick), (0, 0)))[thick:]
-    # A slightly tilted rule has steps of one pixel.
+    # Widen the ink: a slightly tilted vertical rule has steps of one pixel.
     wide = cv2.dilate(page, np.ones((1, 3), np.uint8))
     underlines, rules, upright = (
         np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones(run, np.uint8)), np.uint8)
@@ -122,7 +122,7 @@ def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
 
 
 def part_lines(ink: Ink, components: Components, height: float) -> Ink:
-    """Return the ink, (H, W), cut where letters of successive lines touch."""
+    """Return the ink, (H, W), with cuts where letters of two successive lines touch."""
     wide, tall, parted = components.width, components.height, ink.copy()
     may_be_two = (tall > _TWO_LINES * height) & (tall < _LETTER[1] * height) & (2 * wide >= tall)
     around = np.ones((2 * round(_LEAST_LINE * height) + 1, 1), np.uint8)
@@ -136,24 +136,24 @@ def part_lines(ink: Ink, components: Components, height: float) -> Ink:
 
 
 _NEIGHBORS = 10  # number of candidates for the next letter
-_WIDEST_GAP = 3.8  # in heights of the taller letter: a dash between two spaces
-_LEAST_OVERLAP = 0.45  # smallest vertical overlap of letters of a row, relative to the lower one
-_LARGEST_RATIO = 2.8  # largest ratio of heights in a row; a parenthesis has 2.5 x-heights
+_WIDEST_GAP = 3.8  # in heights of the taller letter; a dash with its two spaces
+_LEAST_OVERLAP = 0.45  # smallest vertical overlap of neighbors, relative to the shorter letter
+_LARGEST_RATIO = 2.8  # largest ratio of neighbors' heights; a parenthesis has 2.5 x-heights
 _LEAST_SPACE = 0.35  # narrowest space between words, in letter heights
-_LANE_PX = 3.0  # letter height, px, at which lanes are searched
+_LANE_PX = 3.0  # letter height in merged rows of pixels, among which lanes are searched
 _NARROWEST, _LANES = 0.75, ((1.25, 15.0), (1.9, 8.0))
-"""Smallest width of a lane between columns, in letter heights; and pairs of the smallest width, in
-typical spaces, and the lane's smallest length, in letter heights."""
+"""Smallest width of a lane (white gap between columns), in letter heights; and pairs of smallest
+width, in typical spaces between words, and smallest length, in letter heights."""
 _LANE_REACH, _SHORT_LINES, _LANE_GAP = 16.0, 6.5, 25.0
-"""Largest distance between a lane and the print on both sides, and largest height of gaps in that
-print and in a lane, in letter heights."""
+"""Largest distance from a lane to the print on both sides, largest height of gaps in this print,
+and largest height of gaps in a lane, in letter heights."""
 
 
 def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[Components]:
     """Return the letters of each row, from left to right.
 
-    Rows end at ``walls``, (H, W), a mask of vertical rules and pictures, and at lanes between
-    columns in ``ink``, (H, W).
+    Rows end at ``walls``, (H, W), a mask of vertical rules and pictures, and at lanes, the white
+    gaps between columns in ``ink``, (H, W).
     """
     if not len(letters.area):
         return []
@@ -164,7 +164,7 @@ def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[
     middle = (letters.top[first] + letters.bottom[first]) // 2
     passed = (np.cumsum(mask, axis=1, dtype=np.int32) for mask in (walls, lanes))
     walled, laned = (count[middle, end] > count[middle, start] for count in passed)
-    # Letters of a headline are farther apart than columns.
+    # A lane ends a row only at a gap that is wide for the letters: headlines have wide gaps.
     wide = 2 * gap > _NARROWEST * (letters.height[first] + letters.height[second])
     free = ~(walled | (laned & wide))
     following = dict(zip(first[free].tolist(), second[free].tolist(), strict=True))
@@ -178,7 +178,7 @@ def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[
 
 
 def _lanes(ink: Ink, height: float, space: float) -> Ink:
-    """Return a mask of tall white lanes with print on both sides, (H, W)."""
+    """Return a mask, (H, W), of lanes: tall white gaps between columns of print."""
     part, rows = max(1, int(height / _LANE_PX)), len(ink)
     ink = np.logical_or.reduceat(ink, np.arange(0, len(ink), part), axis=0)
     page = ink.view(np.uint8)
@@ -193,7 +193,7 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
         width = max(3, round(max(_NARROWEST * height, spaces * space)))
         lane = np.ones((round(length * height / part), width), np.uint8)
         lanes |= cv2.morphologyEx(white.view(np.uint8), cv2.MORPH_OPEN, lane) > 0
-    # A lane goes on across rows beside which a column has a gap.
+    # Extend lanes across rows where a column beside them has a gap.
     longer = np.ones((round(_LANE_GAP * height / part) | 1, 1), np.uint8)
     within = cv2.morphologyEx(lanes.view(np.uint8), cv2.MORPH_CLOSE, longer, borderValue=0)
     wide = cv2.morphologyEx(1 - page, cv2.MORPH_OPEN, np.ones((3, width), np.uint8))
@@ -202,10 +202,10 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
 
 
 def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
-    """Return links from letters to the next ones on the right, cheapest first: (L,) indices of
-    both, and gaps, px."""
+    """Return links from letters to the next letters on the right, cheapest first: the indices of
+    both letters, and the gaps between them in px, (L,) each."""
     height, middle = letters.height, (letters.top + letters.bottom) / 2
-    # Weight vertical distance twice.
+    # Vertical distance counts twice in the search for near letters.
     starts = np.column_stack([letters.left, 2 * middle]).astype(np.float32)
     ends = np.column_stack([letters.right, 2 * middle]).astype(np.float32)
     count = min(_NEIGHBORS, len(height))
@@ -218,7 +218,7 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     beside = np.minimum(one.bottom, other.bottom) - np.maximum(one.top, other.top)
     is_link = (gap <= _WIDEST_GAP * taller) & (other.left + other.right > one.left + one.right)
     is_link &= (beside >= _LEAST_OVERLAP * lower) & (taller <= _LARGEST_RATIO * lower)
-    # Vertical offset and gap have equal cost per pixel.
+    # A pixel of vertical offset costs as much as a pixel of gap.
     cost = np.where(is_link, np.maximum(gap, 0) + lower - beside, np.inf)
     links, begun, ended = [], set(), set()
     for k in np.argsort(cost, kind="stable")[: np.count_nonzero(is_link)]:
@@ -230,40 +230,40 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     return first[links], second[links], gap[links]
 
 
-_WORD, _PIECE = 1.3, 0.6  # width above which a component is several letters; width of a piece of it
+_WORD, _PIECE = 1.3, 0.6  # width of several touching letters, and of the pieces to divide them into
 _DEGREES = (8.0, 20.0, 40.0)
-"""Smallest lengths of lines fitted with a slope, a bend and a second bend, in letter heights."""
+"""Smallest lengths of rows, in letter heights, for a baseline of degree 1, 2 and 3."""
 _DESCENDING = 2.5  # weight of deviations below a baseline
 _ROUNDS = 5  # iterations of the robust fit
-_X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # tried x-heights, in letter heights
-_NEAR = (0.1, 0.5)  # tolerance of equal heights: in x-heights, plus pixels
+_X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # candidate x-heights, in letter heights
+_NEAR = (0.1, 0.5)  # tolerance within which heights are equal: x-heights, plus pixels
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
-"""Ranges of the reach of ascenders and of descenders from the baseline, in x-heights."""
-_UNDECIDED = 0.3  # share of the letters that end above a baseline that is too low
-_STROKES = (0.75, 2.9)  # strokes per x-height of letters; print has 0.9 to 1.9
-_TOUCHING = 1.3  # typical width of components in which letters run together, in x-heights
+"""Ranges of ascender height and descender depth from the baseline, in x-heights."""
+_UNDECIDED = 0.3  # share of letters that end above a baseline, from which it is too low
+_STROKES = (0.75, 2.9)  # range of strokes per x-height of length; print has 0.9 to 1.9
+_TOUCHING = 1.3  # median width of components, in x-heights, from which letters touch
 _ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.65, 0.52, 0.8
-"""Smallest share of letters at typical heights: usually, if letters touch, and for few letters."""
+"""Smallest share of letters at typical heights: in general, if letters touch, if they are few."""
 MANY, _SOLID = 8, 0.75
-"""Smallest number of letters of a line that is judged by itself. Share of ink in its box above
+"""Number of letters from which a row alone shows whether it is text. Share of ink in its box from
 which a component as wide as high is a disc or a square."""
 
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Row of letters with its measures, px."""
+    """Row of letters with its baseline and its heights, px."""
 
     letters: Components
     left: float
     right: float
     curve: Floats  # (D,) coefficients of y as a polynomial of the distance from left, lowest first
     x_height: float
-    rise: Floats  # (P,) heights of letters or pieces above the baseline
+    rise: Floats  # (P,) heights above the baseline, of letters or pieces of words
     fall: Floats  # (P,) depths below the baseline
     strokes: float  # strokes crossed at half x-height, per x-height of length
 
     def at(self, x: NDArray[np.float64]) -> Floats:
-        """Return y of the baseline at x, extrapolated linearly."""
+        """Return y of the baseline at x, linearly extrapolated beyond the row's ends."""
         return curve_at(self.curve, x - self.left, self.right - self.left)
 
     @property
@@ -273,9 +273,9 @@ class Baseline:
 
     @property
     def is_text(self) -> bool:
-        """Whether the row has strokes like letters, most of them at typical heights."""
+        """Whether the row has as many strokes as text, and most letters have typical heights."""
         letters = self.letters
-        # Rows with dashes and wide spaces have little ink.
+        # Dashes and wide spaces reduce the number of strokes.
         covered = min(1.0, float(letters.width.sum()) / (self.right - self.left))
         touching = float(np.median(letters.width)) > _TOUCHING * self.x_height
         least = _TOUCHING_ON_LEVELS if touching else _ON_LEVELS
@@ -288,7 +288,8 @@ class Baseline:
 
     @property
     def on_levels(self) -> float:
-        """Share of the letters or pieces that begin and end at typical heights."""
+        """Share of letters with their tops at typical heights, or share of letters with their bottoms
+        at typical heights: the smaller of the two."""
         near = _NEAR[0] * self.x_height + _NEAR[1]
         deep = (self.fall > _DEEP[0] * self.x_height) & (self.fall < _DEEP[1] * self.x_height)
         low = (np.abs(self.fall) < near) | deep
@@ -298,9 +299,9 @@ class Baseline:
 def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     """Measure a row of letters in ``ink``, (H, W).
 
-    The baseline is a smooth curve through the lower ends of most letters. Most letters have
-    x-height or the height of ascenders. ``slope`` is the slope of surrounding lines, for short
-    rows.
+    The baseline is a smooth curve through the lower ends of most letters. The x-height is chosen so
+    that most letters have x-height or ascender height. A short row is fitted with less freedom, and
+    keeps the slope of the surrounding lines, ``slope``.
     """
     left, right, height = letters.left.min(), letters.right.max(), letters.usual_height
     x, top, bottom = _pieces(ink, letters, height)
@@ -310,7 +311,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     off = bottom - polynomial.polyval(x - left, curve)
     above = off < -_NEAR[0] * height - _NEAR[1]
     if above.mean() > _UNDECIDED:
-        # Most letters descend, so the others determine the baseline.
+        # The curve follows descenders: raise it to the letters that end above it.
         curve[0] += np.median(off[above])
     base = polynomial.polyval(x - left, curve)
     rise = base - top
@@ -318,7 +319,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     score = np.tensordot((1, 0.9), _on_levels(rise, tried[:, None]).mean(axis=-1), 1)
     x_height = float(tried[score.argmax()])
     alike = rise[np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]]
-    # Letters of two heights may have a mean that is near to neither; the lower may suit them all.
+    # If letters have two heights, their mean may match neither; the smaller height may match all.
     heights = (float(alike.mean()), float(alike.min())) if len(alike) else (x_height,)
     x_height = max(heights, key=lambda tried: _on_levels(rise, tried).any(axis=0).all())
     along = np.arange(right - left)
@@ -331,14 +332,14 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
 
 
 def _on_levels(rise: Floats, x_height: Floats | float) -> NDArray[np.bool_]:
-    """Return which letters have x-height, and which have ascender height, (2, …, N)."""
+    """Return masks of letters with x-height, and of letters with ascender height, (2, …, N)."""
     near = np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]
     return np.array([near, ~near & (rise > _TALL[0] * x_height) & (rise < _TALL[1] * x_height)])
 
 
 def _pieces(ink: Ink, letters: Components, height: float) -> tuple[Floats, Floats, Floats]:
-    """Return middle, top and bottom of letters, (P,) each; touching words are divided into
-    pieces."""
+    """Return the middle x, top and bottom of letters, (P,) each; words of touching letters are
+    divided into pieces."""
     long = letters.width > _WORD * height
     rows = [np.stack([(letters.left + letters.right) / 2, letters.top, letters.bottom])[:, ~long]]
     for k in np.flatnonzero(long).tolist():
@@ -354,15 +355,15 @@ def _pieces(ink: Ink, letters: Components, height: float) -> tuple[Floats, Float
 
 
 def _fitted(x: Floats, y: Floats, degree: int) -> Floats:
-    """Return the coefficients of a curve that is close to most points."""
+    """Return the coefficients of a polynomial near most points (robust fit)."""
     weight, curve = np.ones_like(y), np.zeros(1)
     for _ in range(_ROUNDS):
-        # ``full`` avoids a warning if points in one place leave the slope undetermined.
+        # ``full`` avoids a warning if all points have the same x, which leaves the slope open.
         curve = np.asarray(polynomial.polyfit(x, y, degree, full=True, w=weight)[0])
         away = y - polynomial.polyval(x, curve)
-        # Descenders are all on one side.
+        # Distances below the curve count more, because descenders are there.
         off = np.where(away > 0, _DESCENDING, 1) * np.abs(away)
         typical = float(np.partition(off, len(off) // 2)[len(off) // 2])
-        # Geman and McClure's weights.
+        # Weights of Geman and McClure: distant points hardly count.
         weight = 1 / (1 + (off / max(1.5 * typical, 0.3)) ** 2)
     return curve

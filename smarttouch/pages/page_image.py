@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import PageError
 from smarttouch.imaging.grey_image import MOST_PIXELS
 
-FEWEST_PIXELS = 8  # smallest side of a page
+FEWEST_PIXELS = 8  # smallest side of a page, pixels
 LARGEST_MM, SMALLEST_MM = 2000.0, 2.0
 INCH_MM = 25.4
 
@@ -16,7 +16,7 @@ INCH_MM = 25.4
 def curve_at(
     coefficients: NDArray[np.float64], distance: NDArray[np.float64], length: float
 ) -> NDArray[np.float64]:
-    """Return a polynomial at distances from its start, extrapolated linearly."""
+    """Return a polynomial at distances from its start, linearly extrapolated beyond ``length``."""
     inside = np.clip(distance, 0, length)
     y, slope = np.zeros_like(inside), np.zeros_like(inside)
     for coefficient in coefficients[::-1].tolist():
@@ -35,12 +35,12 @@ class TextLine:
         float, ...
     ]  # polynomial coefficients of y, lowest first, over the distance from left_mm
     x_height_mm: float
-    ascent_mm: float  # ascender height of the font, whatever letters the line has
+    ascent_mm: float  # height of the font's ascenders, even if the line has none
     descent_mm: float
-    cell: int = 0  # index in a row of a table, from 1; 0 outside of tables
+    cell: int = 0  # index of the cell in its table row, from 1; 0 outside tables
 
     def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return y of the baseline at x, mm, extrapolated linearly."""
+        """Return y of the baseline at x, mm, linearly extrapolated beyond the line's ends."""
         length = self.right_mm - self.left_mm
         return curve_at(np.array(self.baseline), x_mm - self.left_mm, length)
 
@@ -64,8 +64,8 @@ class TextLine:
 class Page:
     """Page as gray levels, (H, W) uint8, 255 is white, with its scale.
 
-    A PDF also provides its lines in reading order, their texts, and notes on omitted parts. Without
-    lines the picture must be recognized.
+    A page of a PDF also has its lines in reading order, their texts, and notes on omitted parts. If
+    a page has no lines, its text must be recognized.
     """
 
     grey: NDArray[np.uint8]
@@ -93,7 +93,7 @@ def require_pixels(name: str, width: int, height: int) -> None:
 def require_size_mm(
     name: str, width_mm: float, height_mm: float, options: str = "dpi or a width in mm"
 ) -> None:
-    """Raise PageError if the size of a page is implausible."""
+    """Raise PageError if the size of a page is implausible. The message names ``options``."""
     if not all(SMALLEST_MM <= side <= LARGEST_MM for side in (width_mm, height_mm)):
         raise PageError(
             f"{name} would be {width_mm:.4g} x {height_mm:.4g} mm: give a {options} "

@@ -1,5 +1,5 @@
--- Turns a document into plain paragraphs, one per table row. After a form feed, a line names each
--- kind of content that is left out.
+-- Converts a document to plain paragraphs. Each table row becomes a paragraph. After a form feed,
+-- a line names each kind of content that is left out.
 
 local KINDS = {
   picture = "pictures", formula = "formulas", ["raw passage"] = "raw passages",
@@ -24,12 +24,12 @@ local function unwrap(element)
   if marks:includes("pagebreak") or marks:includes("doc-pagebreak") then
     return leave_out("page number of print")
   end
-  -- What is hidden from screen readers stands there twice, as formulas of KaTeX do.
+  -- Drop content that is hidden from screen readers: it repeats other content, as in KaTeX formulas.
   local hidden = (element.attributes or {})["aria-hidden"] == "true"
   return (hidden or marks:includes("footnote-back")) and {} or element.content
 end
 
--- Makes an element of raw <sup>6</sup> in Markdown.
+-- Converts raw HTML scripts in Markdown, such as <sup>6</sup>, to elements.
 local function join_raw_scripts(inlines)
   for first = #inlines, 1, -1 do
     local tag = inlines[first].t == "RawInline" and inlines[first].text:match("^<(su[pb])>$")
@@ -45,7 +45,7 @@ local function join_raw_scripts(inlines)
   return inlines
 end
 
--- Writes 10^6, and 10^(a+b) where the end would be in doubt; 21st stays as it is.
+-- Writes 10^6, or 10^(a+b) if the end of the script would be unclear; leaves 21st unchanged.
 local function mark_scripts(inlines)
   for k, element in ipairs(inlines) do
     local sign = ({ Superscript = "^", Subscript = "_" })[element.t]
@@ -73,7 +73,7 @@ local function row(cells)
   return pandoc.Plain(line:match("[^-; ]") and { pandoc.Str(line) } or {})
 end
 
--- Returns title and authors where no block has the title, as in DOCX and Markdown.
+-- Returns title and authors if the text itself lacks the title, as in DOCX and Markdown.
 local function front(doc)
   local lines, seen = pandoc.List(), { [""] = true }
   for k = 1, math.min(#doc.blocks, 12) do seen[plain({ doc.blocks[k] }):lower()] = true end

@@ -31,14 +31,14 @@ from smarttouch.pages.reading_order import DOUBTFUL, Segment, reading_order
 from smarttouch.pages.straighten import cut_strip, find_sheet, flattened, turned
 
 LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
-"""Note for the user that a sheet was found."""
-FAINT = "faint marks, as of print on the back of the sheet"
+"""Note to the user if a sheet was found in a photograph."""
+FAINT = "faint marks, such as print on the back of the sheet"
 _SMALL_PX, _LARGEST_PIXELS = 9.0, 40_000_000
-"""Letter height below which a page is enlarged, and the largest enlarged page."""
+"""Letter height, px, below which a page is enlarged; most pixels of an enlarged page."""
 _PICTURE, _FILLED = 9.0, 0.15
-"""Least width and height of a picture, in letter heights, and filled share of its box."""
+"""Smallest width and height of a picture, in letter heights; smallest share of ink in its box."""
 _FEWEST_PIXELS = 3  # smallest area of a component of print
-_HEIGHT = 0.96  # from ascender to descender, in font sizes
+_HEIGHT = 0.96  # distance from ascender to descender, in font sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class PreparedPage:
     notes: tuple[str, ...] = ()
     words: tuple[str, ...] = ()  # text of each line, if the page provides it
     known: dict[int, tuple[str, float]] = field(default_factory=dict)
-    """Texts of recognized lines, with confidences in [0, 1]."""
+    """Recognized text of a line, with its confidence in [0, 1], by line index."""
 
     def strip(self, index: int, height_px: int) -> Grey:
         """Return a straightened line, (height_px, W) uint8, from ascenders to descenders."""
@@ -60,15 +60,15 @@ class PreparedPage:
 
 
 def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
-    """Return the lines of text in reading order; None means to detect the polarity."""
+    """Return the lines of a page in reading order; None: detect whether print is light on dark."""
     return list(_with_lines(page, light_on_dark).lines)
 
 
 def prepare_page(
     page: Page, light_on_dark: bool | None = None, leftward: bool = False
 ) -> PreparedPage:
-    """Prepare a scan, photograph or picture of print for reading; detect the polarity by default.
-    Columns of ``leftward`` scripts are read from right to left."""
+    """Prepare a scan, photograph or picture of print for reading. By default, detect whether print
+    is light on dark. Columns of ``leftward`` scripts are read from right to left."""
     corners = find_sheet(page.grey)
     if corners is None:
         return _with_lines(page, light_on_dark, leftward, turn=True)
@@ -82,8 +82,8 @@ def _with_lines(
 ) -> PreparedPage:
     """Find the lines of a page.
 
-    With ``turn`` its skew is corrected first. Dark panels are inverted, and small print is
-    enlarged.
+    With ``turn``, the skew of the page is corrected first. Dark panels are inverted, and small
+    print is enlarged.
     """
     paper = separate_ink(page.grey, light_on_dark)
     light_on_dark, ink, cleaned = paper.light_on_dark, paper.ink, paper.cleaned
@@ -129,13 +129,13 @@ def _with_lines(
 _SKEWS_DEG = np.linspace(-16, 16, 321)
 _LEAST_SKEW_DEG, _PEAK_DEG = 0.2, 0.6  # smallest skew to correct; half width of a peak
 _BIN, _FEWEST, _SURE = 0.25, 30, 2.0
-"""Bin height of the histogram of lower ends, in letter heights; smallest number of letters, and
-smallest ratio of the peak to typical counts, for a reliable skew."""
+"""Bin height of the histogram of letters' lower ends, in letter heights; smallest number of letters
+and smallest ratio of the peak to typical counts for which a skew is certain."""
 
 
 def skew_of(letters: Components, height: float) -> float:
-    """Return the clockwise skew, degrees, at which most lower ends of letters are aligned; 0 if
-    uncertain. ``height`` is the typical letter height, px."""
+    """Return the clockwise skew, degrees, at which the lower ends of most letters are aligned; 0 if
+    the skew is uncertain. ``height`` is the typical letter height, px."""
     x = (letters.left + letters.right) / 2
     if len(x) < _FEWEST:
         return 0.0
@@ -151,8 +151,8 @@ def skew_of(letters: Components, height: float) -> float:
 _LEAST_SIDES, _LEAST_INK = (2.5, 5.0), 0.6
 """Smallest height and width of a panel, in letter heights, and smallest share of ink."""
 _LIGHT_LETTER, _FEWEST_LETTERS = (0.5, 9.0), 4
-"""Range of letter heights in a panel, in letter heights of the page; halftones have smaller
-dots."""
+"""Range of letter heights in a panel, relative to the page's (halftones have smaller dots), and
+smallest number of letters."""
 
 
 def _panels(ink: Ink, components: Components, height: float) -> Ink:
@@ -171,14 +171,13 @@ def _panels(ink: Ink, components: Components, height: float) -> Ink:
 
 
 _HOPELESS, _MISSES = 60, 3
-"""Failed rows, and additional ones per line of text, after which the rest is a picture's."""
-_LEAST_X_HEIGHT_PX = 3.5  # least x-height of readable print
-_SHORT = 11.0  # length of a row, in letter heights, below which it has the slope of one nearby
+"""Most rows to try, plus rows per line found; all other rows are taken for parts of a picture."""
+_LEAST_X_HEIGHT_PX = 3.5  # smallest x-height of readable print
+_SHORT = 11.0  # letter heights; a shorter row gets the slope of the nearest line
 
 
 def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Baseline], int]:
-    """Return the measures of rows that are text, and the number of rows that are too small to
-    read."""
+    """Measure rows; return the rows that are text, and the number of rows too small to read."""
     measured: list[Baseline] = []
     small = 0
     for tried, row in enumerate(sorted(rows, key=lambda row: -row.length)):
@@ -199,18 +198,18 @@ def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Base
 
 
 _EVEN, _FEW, _SIMILAR, _MOST_OF_ALL = 0.85, 4, 1.7, 0.8
-"""A line is even if this share of its letters has typical heights. An even line of these few
-letters is surely text. Other lines have sizes within this ratio of a sure one. Without a sure one,
-the lines count if they have this share of the page's ink."""
+"""Share of letters at typical heights that makes a line even; number of letters from which an even
+line is certainly text; largest ratio of the x-heights of a line and a certain line; and share of
+the page's ink from which lines are text if no line is certain."""
 _OWN, _AROUND, _FOREIGN, _NEAR_FOREIGN = (-1.8, 0.6), (-1.7, 0.5), 0.1, 0.5
-"""Reach above and below a baseline: of the line itself, in x-heights, and of the surroundings in
-which foreign ink is measured, in letter heights. For each letter of a line, foreign ink is less
-than these shares of the line's ink: usually, and near an even line."""
+"""Top and bottom relative to the baseline: of a line, in x-heights, and of the area around the line
+in which foreign ink is counted, in letter heights. Largest foreign ink per letter, relative to the
+line's ink: in general, and around an even line."""
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
-    """Return lines that are not parts of a picture. Lines in pictures are surrounded by other ink,
-    or have few letters, or letters of different heights."""
+    """Return the lines that are not parts of a picture. A line in a picture is surrounded by other
+    ink, or has few letters, or has letters of many different heights."""
     rest = ink.astype(np.uint8)
     for line in (line for line in lines if len(line.rise) > 1):
         x = np.linspace(line.left, line.right, 20)
@@ -224,7 +223,7 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
         left, right = max(0, round(line.left - size)), round(line.right + size)
         limit = _NEAR_FOREIGN if even and count >= _FEW else _FOREIGN
         area = int(line.letters.area.sum())
-        # A single component in another line is a part of a letter.
+        # A single component within another line is a part of a letter of that line.
         is_part = count == 1 and 2 * np.count_nonzero(rest[line.letters.box(0)]) < area
         limit = (limit * min(count, MANY) + (count == 1)) * area
         if np.count_nonzero(rest[top:bottom, left:right]) < limit and not is_part:
@@ -242,7 +241,7 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
 def _ordered(
     lines: list[Baseline], components: Components, page: Page, slope: float, leftward: bool
 ) -> tuple[tuple[TextLine, ...], bool]:
-    """Return lines with their marks in reading order, in mm, and whether that is doubtful."""
+    """Return lines with the marks at their ends in reading order, and whether it is doubtful."""
     if not lines:
         return (), False
     x_height, ascent, descent = _sizes(lines)
@@ -276,13 +275,13 @@ def _ordered(
 
 
 _REACH, _FARTHEST, _ABOVE, _BELOW = 1.2, 3.5, 1.6, 0.5
-"""Largest distances of a mark, in x-heights: from the end of its line, for the last mark, above and
-below the baseline."""
+"""Largest distances of a mark at the end of a line, in x-heights: from the previous mark or letter,
+from the last letter, above the baseline, and below the baseline."""
 _LONGEST = 2.5  # largest side of a dot, dash or single letter, in x-heights
 
 
 def _ends(lines: list[Baseline], components: Components) -> list[tuple[float, float]]:
-    """Return the left and right ends of lines, with the marks there."""
+    """Return the left and right ends of lines, including marks such as periods and dashes."""
     letters = np.concatenate([line.letters.left + 1j * line.letters.top for line in lines])
     free = components.of(~np.isin(components.left + 1j * components.top, letters))
     x, y = (free.left + free.right) / 2, (free.top + free.bottom) / 2
@@ -297,15 +296,15 @@ def _ends(lines: list[Baseline], components: Components) -> list[tuple[float, fl
             near = (marks.left < right + _REACH * size) & (marks.right > left - _REACH * size)
             left = float(np.min(marks.left[near], initial=left))
             right = float(np.max(marks.right[near], initial=right))
-        # Longer rows of marks are leader dots.
+        # Leave out longer rows of marks: they are leader dots.
         left = left if line.left - left < _FARTHEST * size else line.left
         ends.append((left, right if right - line.right < _FARTHEST * size else line.right))
     return ends
 
 
 _SAME, _CAPITALS, _CAPITAL = 0.15, 0.08, 1.42
-"""Largest relative difference of x-heights of one font size; share of tall letters below which all
-letters are capitals; height of a capital, in x-heights."""
+"""Largest relative difference of x-heights of one font size; largest share of letters that are
+taller than the others in a line of capitals; height of a capital, in x-heights."""
 _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 """Ranges of ascent and descent, in x-heights."""
 
@@ -313,7 +312,8 @@ _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:
     """Return the x-height of each line, (N,) px, and the common ascent and descent, in x-heights.
 
-    Lines of one font size share it; lines of capitals and figures measure taller.
+    Lines of one font size get the same x-height. It is corrected for lines of only capitals and
+    figures, for which the height of capitals was measured.
     """
     size, length = np.array([(line.x_height, line.right - line.left) for line in lines]).T
     tall = np.array([np.mean(line.rise > 1.25 * line.x_height) for line in lines])
@@ -329,24 +329,24 @@ def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:
 
 PRINT_DPI = 300
 _WIDTH_MM, _MARGIN_MM, _LINE_MM, _STEP_MM = 92.0, 7.0, 4.2, 8.0
-"""Printed page: width, margins, height of lines and line distance."""
+"""Printed page: width, margins, height of lines, and distance from line to line."""
 _COLUMNS = 30
 _INK_LEVEL = 15
 _PER_MM = PRINT_DPI / INCH_MM
 
 
 def print_text(text: str) -> Page:
-    """Print a text black on white at 300 dots per inch; the page contains its lines and texts."""
+    """Return a text printed black on white at 300 dots per inch, with its lines and their texts."""
     wrapped = [row for part in text.splitlines() for row in textwrap.wrap(part, _COLUMNS) or [""]]
     if not any(wrapped):
-        raise PageError("text: has no words: give some after the colon")
+        raise PageError("text: has no words: write them after the colon, as in text:Hello")
     height_mm = 2 * _MARGIN_MM + (len(wrapped) - 1) * _STEP_MM + _LINE_MM
     require_size_mm(
         f"the text of {len(wrapped)} lines", _WIDTH_MM, height_mm, "shorter text, or a page"
     )
     sheet = Image.new("L", (round(_WIDTH_MM * _PER_MM), round(height_mm * _PER_MM)), 255)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=_LINE_MM * _PER_MM * 1.26)
-    # heights above the baseline
+    # heights above the baseline, mm: ascender, descender (negative), x-height
     high, low, x_high = (-font.getbbox(signs, anchor="ls")[k] / _PER_MM
                          for signs, k in (("dlA", 1), ("gpy", 3), ("x", 1)))  # fmt: skip
     lines = []
@@ -364,6 +364,6 @@ def print_text(text: str) -> Page:
 
 
 def prepare_text(text: str) -> PreparedPage:
-    """Print a text and prepare the page, with its known lines."""
+    """Return a printed text as a prepared page, whose lines and texts are known."""
     page = print_text(text)
     return PreparedPage(page, page.grey, page.lines, False, words=page.words)

@@ -8,16 +8,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-_SAME_LINE, _SPACE = 0.3, 0.1  # tolerance of baselines of a line; smallest gap that is a space
+_SAME_LINE, _SPACE = 0.3, 0.1  # distance of baselines in a line; gap of a space; in letter sizes
 _WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
-"""Gaps that separate words, and figures, and the smallest gap common to all rows of a picture."""
-_APART, _FLUSH = 2.5, 0.4  # gap that separates segments; tolerance of the ends of justified text
-_FARTHER = 1.6  # distance of blocks, relative to the typical row distance
+"""Gaps, in letter sizes, that may separate columns: of words, of figures, and in a picture."""
+_APART, _FLUSH = 2.5, 0.4  # gap between separate lines; tolerance for ends of justified lines
+_FARTHER = 1.6  # smallest distance of blocks, relative to the typical row distance
 _EDGE = 0.125  # share of the page's height, at top and bottom, for running heads
 _WIDE_CELL, _WIDER, _WIDEST, _LOOSE = 5.0, 8.0, 13.0, 1.5
-"""Mean line widths above which columns are prose: in pictures, in PDFs, and with loose rows; and
-the distance of loose rows."""
-_FEWEST = 3  # smallest number of rows to judge columns by width
+"""Mean line widths from which columns are prose: in pictures, in PDF files, and if rows are loose;
+and the row distance above which rows are loose; in letter sizes."""
+_FEWEST = 3  # smallest number of rows from which widths tell prose from tables
 _SURE = 1.15  # ratio of line width to threshold above which the order is certain
 DOUBTFUL = "the reading order is doubtful: words side by side may be columns, or rows of a table"
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
@@ -35,8 +35,8 @@ class Segment:
     y: float  # baseline
     size: float  # letter size
     place: int  # index in the file; negative in form fields and pictures
-    space: str = ""  # white space before it in the file
-    turn_deg: int | None = 0  # rotation that makes it horizontal; None if slanted
+    space: str = ""  # white space before the segment in the file
+    turn_deg: int | None = 0  # rotation that makes the text horizontal; None if slanted
 
     def gap(self, other: "Segment") -> float:
         """Return the gap between two segments, in letter sizes of the larger."""
@@ -49,7 +49,7 @@ class Segment:
         return self.gap(other) > (_FIGURES if are_figures else _WIDE)
 
     def add(self, text: str, other: "Segment") -> None:
-        """Append another segment."""
+        """Append ``text``, the text of another segment, and extend this segment over it."""
         self.text += text
         self.left, self.right = min(self.left, other.left), max(self.right, other.right)
 
@@ -61,7 +61,7 @@ _T = TypeVar("_T")
 
 @dataclass(eq=False)
 class Line:
-    """Line: its segments and text, whether it is a table row, and whether that is doubtful."""
+    """Line of text; whether it is a table row, and whether its place in the order is doubtful."""
 
     segments: Row
     text: str
@@ -73,8 +73,8 @@ def reading_order(segments: Row, height: float, leftward: bool = False) -> list[
     """Return the lines of a page in reading order; ``leftward`` scripts are read from right to
     left.
 
-    Cells of a table row are separated by semicolons; an empty cell is a hyphen. Additional lines of
-    a cell are separate rows. Close segments of a file's text are joined.
+    Cells of a table row are separated by semicolons; an empty cell is a hyphen. If a cell has more
+    lines, each is a separate row. Close segments of text from a file are joined.
     """
     if leftward:
         _mirror(segments)
@@ -110,7 +110,7 @@ def split(items: list[_T], begins: Callable[[_T, _T], bool]) -> list[list[_T]]:
 
 
 def _joined(row: Row) -> Row:
-    """Join close segments of a row, and the mark of an item with its text."""
+    """Join close segments of a row, and the mark of a list item with the item's text."""
     joined = row[:1]
     for segment in row[1:]:
         before, gap = joined[-1], joined[-1].gap(segment)
@@ -123,7 +123,7 @@ def _joined(row: Row) -> Row:
 
 
 def _join_justified(rows: list[Row]) -> None:
-    """Join segments of rows that are as wide as the prose in the row before."""
+    """Join the segments of a justified row: it is as wide as the row of prose before it."""
     for (first, *others), row in itertools.pairwise(rows):
         ends = abs(row[0].left - first.left), abs(row[-1].right - first.right)
         if " " in first.text and not others and max(ends) < _FLUSH * first.size:
@@ -161,8 +161,8 @@ def _ordered(rows: list[Row]) -> list[Line]:
 
 
 def _insets(rows: list[Row], gap: _Span) -> list[Row] | None:
-    """Return the lines that lie across a gap of columns and have text at both sides, as those of a
-    caption do; None if other text lies across it."""
+    """Return the segments that lie across a gap between columns, if they have enough text on both
+    sides, as captions do; otherwise None."""
     across = [[part] for row in rows for part in row if part.left < gap[1] and part.right > gap[0]]
     beside = [[part for part in row if [part] not in across] for row in rows]
     sides = _part(beside, -math.inf, gap[1]), _part(beside, gap[1])
@@ -170,7 +170,7 @@ def _insets(rows: list[Row], gap: _Span) -> list[Row] | None:
 
 
 def _blocks(rows: list[Row]) -> list[list[Row]]:
-    """Split rows into blocks at larger distances."""
+    """Split rows into blocks where the distance of rows is larger than usual."""
     far = _FARTHER * _usual_step(rows)
     return split(rows, lambda above, row: row[0].y - above[0].y > far)
 
@@ -181,7 +181,7 @@ def _usual_step(rows: list[Row]) -> float:
 
 
 def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Span]]]:
-    """Yield bands of successive rows with common gaps, and these gaps; other rows are single."""
+    """Yield bands of successive rows with common gaps, or of one row, and the gaps of the band."""
     band: list[Row] = []
     shared: list[_Span] = []
     for row in rows:
@@ -198,20 +198,20 @@ def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Span]]]:
 
 
 def _free(row: Row) -> list[_Span]:
-    """Return the gaps between segments of a row, including those before and after it."""
+    """Return the gaps between segments of a row, and the space before and after the row."""
     lefts, rights = [part.left for part in row], [part.right for part in row]
     return [*zip([-math.inf, *rights], [*lefts, math.inf], strict=True)]
 
 
 def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
-    """Return the parts of rows between two places."""
+    """Return rows of only the segments whose middle is between ``left`` and ``right``."""
     rows = ([part for part in row if left <= (part.left + part.right) / 2 < right] for row in band)
     return [row for row in rows if row]
 
 
 def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
-    """Return at least 1 if columns are text, to be read one after the other: the file does so, or
-    lines of both are as wide and as close as those of prose. Near 1 is doubtful."""
+    """Return at least 1 if two columns are prose, to be read one after the other: the file has this
+    order, or lines in both columns are as wide and close as prose. Near 1 is doubtful."""
     ends = [_text(row)[:1] + _text(row)[-1:] for row in right]
     if all(map(str.isdigit, ends)) or all(_text(row).endswith(":") for row in left):
         return 0.0  # figures or labels
@@ -223,7 +223,7 @@ def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: flo
         return math.inf
     if level < _FEWEST:
         return 0.0
-    # Table rows are short, or farther apart than lines of prose. A heading above them is larger.
+    # Table rows are short, or farther apart than prose. The median ignores a large heading.
     size = statistics.median(row[0].size for row in band)
     step = max(map(_usual_step, (left, right))) / size
     least = _WIDEST if step > _LOOSE else _WIDER if printed else _WIDE_CELL
@@ -236,8 +236,8 @@ def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: flo
 def _lines(band: list[Row]) -> list[Line]:
     """Convert rows to lines.
 
-    Rows are table rows if the gaps of two rows overlap. Cells are separated at the smallest number
-    of places that lie in all gaps. A row with only a first column is a plain line.
+    Rows are table rows if the gaps of two rows overlap. Cells are separated at the fewest places
+    for which each gap contains one. A row with only a first column is a plain line.
     """
     gaps = sorted((gap for row in band for gap in _free(row)[1:-1]), key=lambda gap: gap[1])
     shared: list[_Span] = []

@@ -1,4 +1,4 @@
-"""Sheets in photographs are laid flat, skewed pages are turned level, and lines are cut out."""
+"""Removal of perspective and skew from pictures of pages, and straight pictures of lines."""
 
 import math
 
@@ -13,14 +13,14 @@ Corners = NDArray[np.float64]
 
 _SIDE_PX = 480  # longer side of the image for sheet detection
 _LEAST_PART, _LARGEST_PART = 0.2, 0.97
-"""Smallest share of a photograph covered by a sheet, and share above which it is a scan."""
+"""Smallest share of a photograph that a sheet covers, and share from which it is a scan."""
 _LOG_STEPS = (0.1, 0.15, 0.25, 0.4, 0.7)
 """Thresholds to try for a sheet's edge: steps of log gray level. Shadows have smaller steps."""
-_LEAST_FILLED = 0.93  # smallest share of the quadrilateral that is bright
+_LEAST_FILLED = 0.93  # smallest share of a sheet's quadrilateral that is bright
 _LEAST_STEP, _LEAST_SIDES = 25.0, 3
 """Smallest drop of the gray level from paper to background at a visible edge, and smallest number
-of visible edges; others may be edges of the photograph."""
-_EDGE_PX = 6  # distance from an edge at which its sides are compared
+of visible edges; the other edges of a sheet may be outside the photograph."""
+_EDGE_PX = 6  # distance from an edge at which paper and background are compared
 _ROUGH = 0.02  # tolerance of a quadrilateral outline, relative to its length
 _INSET = 0.006  # share of the sheet removed at its blurred edges
 
@@ -30,7 +30,7 @@ def find_sheet(grey: Grey) -> Corners | None:
     factor = _SIDE_PX / max(grey.shape)
     size = (max(8, round(grey.shape[1] * factor)), max(8, round(grey.shape[0] * factor)))
     small = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
-    # Fill the print on the sheet first.
+    # Remove the print on the sheet first.
     around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
     paper = np.asarray(cv2.morphologyEx(small, cv2.MORPH_CLOSE, around), np.uint8)
     square = np.ones((3, 3), np.uint8)
@@ -40,7 +40,7 @@ def find_sheet(grey: Grey) -> Corners | None:
         calm = (edges < step).view(np.uint8)
         for outline in cv2.findContours(calm, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]:
             covered = cv2.contourArea(outline)
-            # Take the largest area, as a sheet may be partly lit.
+            # Take the largest area: a brightly lit part of the sheet may have edges, too.
             if largest < covered < _LARGEST_PART * small.size:
                 hull = cv2.convexHull(outline)
                 corners = cv2.approxPolyDP(hull, _ROUGH * cv2.arcLength(hull, True), True)[:, 0]
@@ -69,8 +69,8 @@ def _is_sheet(corners: Corners, covered: float, paper: Grey) -> bool:
 
 
 def flattened(grey: Grey, corners: Corners) -> Grey:
-    """Return a quadrilateral of a picture as a rectangle, at its finest resolution. What is beyond
-    the picture has the typical level of paper."""
+    """Return a quadrilateral of a picture as a rectangle, at its finest resolution. Areas outside
+    the picture get its median gray level."""
     top, right, bottom, left = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
     width, height = max(2, round(max(top, bottom))), max(2, round(max(left, right)))
     target = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
@@ -83,7 +83,7 @@ def flattened(grey: Grey, corners: Corners) -> Grey:
 
 
 def turned(grey: Grey, skew_deg: float) -> Grey:
-    """Correct the skew of a page; the page becomes larger."""
+    """Rotate a page to correct its skew. The page becomes larger, so that nothing is cut off."""
     size, angle = np.array(grey.shape[::-1]), math.radians(skew_deg)
     axes = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
     half = np.abs(axes) @ size / 2
@@ -91,19 +91,19 @@ def turned(grey: Grey, skew_deg: float) -> Grey:
     return flattened(grey, corners + (size - 1) / 2)
 
 
-_AROUND = 0.8  # considered area above and below a line, in heights of the line
-SIDES = 0.25  # margin before and after a line, in heights of the line
-_INK = 128  # level of ink for spots of neighboring lines
-_FADED = np.ones((5, 5), np.uint8)  # a spot with its gray edge
+_AROUND = 0.8  # area around a line to search for other lines' ink, in line heights
+SIDES = 0.25  # margin before and after a line, in line heights
+_INK = 128  # gray level below which a pixel is ink of a spot
+_FADED = np.ones((5, 5), np.uint8)  # dilation of a spot to its gray edge
 
 
 def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int) -> Grey:
     """Cut a line out of a page, straightened along its baseline, (height_px, W) uint8.
 
-    The height is from ascenders to descenders; `SIDES` is the margin at each end. Parts of the
-    lines above and below are removed.
+    The picture reaches from ascenders to descenders, with `SIDES` as margin at each end. Ink of the
+    lines above and below is removed.
     """
-    # Cut at the resolution of the page first.
+    # Cut at the resolution of the page; change the height afterwards.
     rows = max(1, round(line.height_mm / mm_per_pixel))
     scale_mm, sides_mm, above = line.height_mm / rows, SIDES * line.height_mm, round(_AROUND * rows)
     columns = max(1, round((line.right_mm - line.left_mm + 2 * sides_mm) / scale_mm))
@@ -119,7 +119,7 @@ def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int
     is_foreign = np.abs(centers[:, 1] - len(strip) / 2) > rows / 2
     is_foreign[0] = False
     spots = is_foreign[labels]
-    # Keep nearby ink of this line.
+    # Erase spots of other lines with their gray edges, but keep ink of this line there.
     strip[(cv2.dilate(spots.view(np.uint8), _FADED) > 0) & (spots | (labels == 0))] = 255
     size = (max(1, round(columns * height_px / rows)), height_px)
     smooth = cv2.INTER_AREA if height_px < rows else cv2.INTER_CUBIC

@@ -16,11 +16,11 @@ from smarttouch.base.files import MOST_DOCUMENT_BYTES, decoded, open_file, read_
 
 INSTALL = "apt install pandoc"
 MOST_BYTES, MOST_UNPACKED_BYTES = 50_000_000, 500_000_000
-"""Largest file, and largest unpacked content."""
+"""Largest file, and largest content of a ZIP file."""
 _TIMEOUT_S, _MEMORY = 120.0, "1500M"
 _FILTER = Path(__file__).with_name("pandoc_text.lua")
 _BEGINNING_BYTES, _END_BYTES = 4096, 300_000
-_UTF16 = re.compile(rb"\xff\xfe|\xfe\xff|(?:[\t-~]\0){4}|(?:\0[\t-~]){4}")  # or Latin letters
+_UTF16 = re.compile(rb"\xff\xfe|\xfe\xff|(?:[\t-~]\0){4}|(?:\0[\t-~]){4}")  # or ASCII
 _NO_TEXT = bytes({*range(0x20), 0x7F} - {*b"\t\n\f\r\x1b"})
 _BRF = frozenset([".brf", ".brl", ".ueb", ".bfm"])
 _TEX = "+tex_math_dollars+tex_math_single_backslash"  # TeX formulas in Markdown
@@ -32,7 +32,7 @@ _BY_NAME = dict.fromkeys([".md", ".markdown"], _MARKDOWN) | dict.fromkeys(
     [".html", ".htm", ".xhtml"], f"html{_TEX}"
 )
 _ODF = rb"PK.{28}mimetypeapplication/vnd\.oasis\.opendocument\."
-_LISTED = rb"PK.*PK\x01\x02.{42}"  # from the start of a ZIP file to a name in its directory
+_LISTED = rb"PK.*PK\x01\x02.{42}"  # from the start of a ZIP file to a name in its final directory
 _KINDS = {
     rb"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b": f"html{_TEX}",
     _LISTED + rb"word/": "docx",
@@ -40,19 +40,19 @@ _KINDS = {
     _ODF + rb"text": "odt",
     _LISTED + rb"ppt/|" + _ODF + rb"presentation": "a presentation",
     _LISTED + rb"xl/|" + _ODF + rb"spreadsheet": "a spreadsheet",
-    rb"PK\x03\x04": "a packed file (ZIP, or as of drawings and Pages)",
+    rb"PK\x03\x04": "a packed file (such as ZIP, drawings and files of Pages)",
     rb"\{\\rtf": "an RTF document",
     rb".*<pef\b": "a PEF file",
-    rb"\s*<(?:\?xml|svg\b|!--|!doctype svg)(?!.*<html)": "an XML document, as drawings in SVG are",
+    rb"\s*<(?:\?xml|svg\b|!--|!doctype svg)(?!.*<html)": "an XML document (such as an SVG drawing)",
     rb"(?:From [^\n]*\n)?(?:[\w-]+:[^\n]*\n(?:[ \t][^\n]*\n)*)*?"
     rb"(?:received|return-path|mime-version|message-id): ": "an e-mail",
     rb"%!PS": "a PostScript file",
     rb"\s*(?:%[^\n]*\n\s*)*\\(?:documentclass|documentstyle|begin\{)": "a LaTeX source",
     rb"BEGIN:V(?:CARD|CALENDAR)": "a contact or calendar",
     rb"\s*\{.*\"(?:nbformat|cells)\"\s*:": "a notebook (Jupyter)",
-    rb"\xd0\xcf\x11\xe0": "an old or locked Office document, or a mail of Outlook",
+    rb"\xd0\xcf\x11\xe0": "an old or locked Office document, or an Outlook mail",
 }
-"""Pandoc's formats and unsupported kinds, by the beginning of a file and the end of a ZIP file."""
+"""Pandoc's formats and unsupported kinds, by patterns of the first (and a ZIP's last) bytes."""
 _OBJECT = re.compile(rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>", re.DOTALL)
 _DROPPED = {
     "headers and footers of its pages are left out": rb"<w:(?:hdr|ftr)\b.*?<w:t\b|"
@@ -64,7 +64,7 @@ _DROPPED = {
 
 
 class FileKind(StrEnum):
-    """Kind of a file: plain text, Braille, document for pandoc, or image or PDF."""
+    """Kind of a file: plain text, Braille (BRF), document for pandoc, or pages (image or PDF)."""
 
     TEXT = "text"
     BRF = "brf"
@@ -73,8 +73,8 @@ class FileKind(StrEnum):
 
 
 def file_kind(path: Path) -> FileKind:
-    """Return the kind of a file, by its first bytes. Braille, .txt, .md and incomplete HTML are
-    identified by name. Raises PageError for unsupported kinds."""
+    """Return the kind of a file by its first bytes, and for Braille, .txt, .md and incomplete HTML
+    by its name. Raises PageError for unsupported kinds."""
     return _kind_and_format(path)[0]
 
 
@@ -115,7 +115,7 @@ def read_document_text(path: Path, note: Callable[[str], None]) -> str:
         raise PageError(message) from None
     if done.returncode:
         reason = done.stderr.decode("utf-8", "replace").split("\n")[0] or "pandoc failed"
-        raise PageError(f"{path} cannot be read, it may be locked: {reason}")
+        raise PageError(f"pandoc cannot read {path}, which may be locked: {reason}")
     text, _, notes = done.stdout.decode("utf-8").rpartition("\f")
     for words in filter(None, notes.splitlines()):
         note(words)
@@ -127,7 +127,7 @@ def read_document_text(path: Path, note: Callable[[str], None]) -> str:
 
 
 def _kind_and_format(path: Path) -> tuple[FileKind, str]:
-    """Return the kind of a file, and pandoc's name of its format if pandoc reads it."""
+    """Return the kind of a file, and pandoc's name of its format if pandoc can read the file."""
     suffix = path.suffix.lower()
     with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
         data = file.read(_BEGINNING_BYTES).removeprefix(codecs.BOM_UTF8)
@@ -154,7 +154,7 @@ def _kind_and_format(path: Path) -> tuple[FileKind, str]:
 
 
 def _repacked(path: Path) -> tuple[bytes, list[bytes]]:
-    """Return a packed document as pandoc reads it best, and the contents of its members."""
+    """Return a ZIP document without markup that makes pandoc drop text; and all its members."""
     try:
         with zipfile.ZipFile(path) as packed:
             if sum(member.file_size for member in packed.infolist()) > MOST_UNPACKED_BYTES:
@@ -166,7 +166,7 @@ def _repacked(path: Path) -> tuple[bytes, list[bytes]]:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as copy:
         for name, content in contents.items():
-            # Of an ODT, pandoc drops these objects, and the heads of tables.
+            # In ODT files pandoc drops embedded objects, and rows marked as headings of tables.
             marked = (
                 _OBJECT.sub(b"(embedded object)", content) if name == "content.xml" else content
             )
