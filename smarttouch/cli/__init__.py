@@ -57,7 +57,7 @@ def smarttouch(
 
 
 def main() -> None:
-    """Run the command line. Errors of the user end with one sentence and exit status 2."""
+    """Run the command line. For an error of the user, print one sentence and exit with status 2."""
     with guarded_output():
         status = _run()
         try:
@@ -88,7 +88,7 @@ def _run() -> int:
 
 
 def _outcome(error: BaseException) -> int:
-    """Print one sentence about the error; return the exit status."""
+    """Print one sentence for each complaint of an error; return the exit status."""
     if isinstance(error, KeyboardInterrupt):
         return 130
     if isinstance(error, BrokenPipeError):
@@ -99,7 +99,7 @@ def _outcome(error: BaseException) -> int:
         for _, sentence in complaints:
             _say(sentence)
     elif isinstance(error, MemoryError):
-        _say("not enough memory: give less at once")
+        _say("not enough memory: use a smaller input")
     elif isinstance(error, OSError):
         about = f"{error.filename}: " if error.filename else ""
         _say(f"{about}{error.strerror or error}; all electrodes are off")
@@ -114,7 +114,7 @@ def _outcome(error: BaseException) -> int:
 
 
 def _drop_output() -> None:
-    """Drop output that cannot be written: the interpreter would report it at its end."""
+    """Discard output that cannot be written; the interpreter would complain about it at exit."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOptions(OptionGroup):
-    """Options of all calibrations."""
+    """Options common to all calibrations."""
 
-    output: Annotated[Path | None, option("Write this profile.", "FILE.toml")] = None
-    profile: Annotated[str | None, option("Start a new profile from this one.", "NAME|FILE")] = None
+    output: Annotated[Path | None, option("Write results to this profile.", "FILE.toml")] = None
+    profile: Annotated[str | None, option("Copy this profile to a new output.", "NAME|FILE")] = None
     overwrite: Annotated[
-        bool, option("Replace an earlier calibration of this kind.", None, "--overwrite")
+        bool, option("Replace an earlier result of the same calibration.", None, "--overwrite")
     ] = False
 
     def file(
@@ -42,18 +42,18 @@ class CalibrationOptions(OptionGroup):
         from smarttouch.experiments.calibration import file_to_calibrate
 
         if self.output is None:
-            raise CalibrationError("give a FILE.toml for the results")
+            raise CalibrationError("no file for the results: add --output FILE.toml")
         fallback = default_profile(board_url)
         return file_to_calibrate(
             part, self.profile, fallback, self.output, self.overwrite, simulated=simulated
         )
 
 
-def _weights_laid() -> Iterator[float]:
-    """Yield the weights, g, that the user lays on a load cell and types."""
+def _typed_weights() -> Iterator[float]:
+    """Ask for the weights that the user puts on a load cell, and yield them, g."""
     from smarttouch.experiments.calibration import parse_grams
 
-    while answer := _answer("Grams on the cell, at rest (Enter: no more)"):
+    while answer := _answer("Grams on the load cell, at rest (Enter: no more weights)"):
         yield parse_grams(answer)
 
 
@@ -61,7 +61,7 @@ def _answer(question: str) -> str:
     try:
         return str(typer.prompt(question, default="", show_default=False))
     except typer.Abort:
-        message = "there was no answer, so nothing was written: use a terminal"
+        message = "nobody could answer, so nothing was written: run this command in a terminal"
         raise CalibrationError(message) from None
 
 
@@ -72,7 +72,7 @@ def finish(
     simulated: bool = False,
     others: dict[Path, bytes] | None = None,
 ) -> None:
-    """Write the profile; print the result and the paths."""
+    """Write a calibration into its profile; print the result and the paths."""
     result = f"simulated: {found}" if simulated else found
     file.note(what, result)
     file.write(others)
@@ -106,9 +106,9 @@ def optics(
 
     file = calibration.file("optics")
     if source is None:
-        raise CalibrationError("give --source")
+        raise CalibrationError("no source of frames: add --source, for example --source camera:0")
     seen = []
-    for asked in ("Cover the sensor: no light.", "Put it on blank white paper, in normal light."):
+    for asked in ("Cover the sensor: no light.", "Put the sensor on white paper, in normal light."):
         _answer(f"{asked} Then press Enter")
         seen.append(sensor_optics.images_of(source, file.profile, _FRAMES, corrected=False))
     flat_field = sensor_optics.measure_optics(*seen)
@@ -134,7 +134,7 @@ def registration(
     printed_target = target_for(load_profile(calibration.profile or begun))
     if target is not None:
         if target.exists() and not calibration.overwrite:
-            message = f"{target} exists already: give another file, or add --overwrite"
+            message = f"{target} exists: give another file, or add --overwrite"
             raise CalibrationError(message)
         printed_target.draw(target)
         typer.echo(
@@ -144,7 +144,7 @@ def registration(
         return
     file = calibration.file("registration")
     if source is None:
-        raise CalibrationError("give --source")
+        raise CalibrationError("no source of frames: add --source, for example --source camera:0")
     _answer(
         "Lay the target under the sensor, text upright, centered under the array. Then press Enter"
     )
@@ -166,16 +166,16 @@ def force(
     cell: Annotated[
         str | None, option("Read this load cell: hx711:PORT or loadcell:PORT.", "URL")
     ] = None,
-    seconds: Annotated[float, option("Read each weight for this time.", "S")] = 2.0,
+    seconds: Annotated[float, option("Measure each weight for this time.", "S")] = 2.0,
 ) -> None:
-    """Measure the load cell's curve with known weights."""
+    """Measure the curve from load cell readings to force, with known weights."""
     from smarttouch.experiments.calibration import fit_curve, weigh_on
 
     require_within(CalibrationError, "seconds", seconds, 0, 600, above=True)
     file = calibration.file("force")
     if cell is None:
-        raise CalibrationError("give --cell hx711:PORT or --cell loadcell:PORT")
-    fitted = fit_curve(weigh_on(cell, _weights_laid(), seconds), file.profile.force)
+        raise CalibrationError("no load cell: add --cell hx711:PORT or --cell loadcell:PORT")
+    fitted = fit_curve(weigh_on(cell, _typed_weights(), seconds), file.profile.force)
     file.set("force.curve", fitted.curve)
     finish(file, "force", fitted.sentence())
 
@@ -203,7 +203,7 @@ def thresholds(
     if electrodes is not None:
         sites = require_driven(file.profile, electrodes, CalibrationError, "electrodes")
     if not sys.stdin.isatty():
-        raise CalibrationError("there is no keyboard to answer on: use a terminal")
+        raise CalibrationError("there is no keyboard for answers: run this command in a terminal")
     procedure = ThresholdProcedure(
         start=calibration.profile or default_profile(board), file=file, board_url=board,
         sites=sites.tolist(),
@@ -235,9 +235,9 @@ def contact(
     masked = judged.masked(chosen)
     still = sorted(set(chosen.output.masked) - set(judged.broken))
     if still:
-        typer.echo(f"Still masked: {still}. Remove good ones from output.masked by hand.")
+        typer.echo(f"Still masked: {still}. Remove electrodes that are good from output.masked.")
     if masked != list(chosen.output.masked):
-        typer.echo(f"Masked: {masked}. At the next start kernels are designed without them.")
+        typer.echo(f"Masked: {masked}. The next run designs kernels without these electrodes.")
     file.set("output.impedance_kohm", judged.impedances(chosen))
     file.set("output.masked", masked)
     finish(file, "contact", judged.sentence(), simulated)
@@ -245,7 +245,7 @@ def contact(
 
 @calibrate.command()
 def scale(
-    url: Annotated[str, argument("kajimoto61:PORT, link:PORT, ...", "URL")],
+    url: Annotated[str, argument("The board: kajimoto61:PORT, link:PORT, ...", "URL")],
     volts: Annotated[float, option("Peak voltage that you measured.", "V")],
     ohm: Annotated[
         float, option("Resistance between the electrode and all others.", "OHM")
@@ -255,14 +255,14 @@ def scale(
 ) -> None:
     """Compute the scale of a board's current from the voltage across a resistor.
 
-    Connect the resistor in place of the finger, and make pulses with devices test --electrode N
-    --current-ma 1.
+    Connect the resistor in place of the finger, and make pulses with smarttouch devices test
+    --electrode N --current-ma 1.
     """
     from smarttouch.profile.kit_scales import measured_scale
     from smarttouch.running.display import open_display
 
     before_ua = getattr(open_display(url, profile).board.driver, "ua_per_count", None)
     ratio, scale_ua = measured_scale(url.partition(":")[0], before_ua, volts, ohm, current_ma)
-    typer.echo(f"{1000 * volts / ohm:.3f} mA flowed, {ratio:.3f} of nominal.")
+    typer.echo(f"{1000 * volts / ohm:.3f} mA flowed, {ratio:.3f} times the nominal current.")
     if scale_ua is not None:
-        typer.echo(f"In the profile of this board:\n\n[output]\nua_per_count = {scale_ua:.4g}")
+        typer.echo(f"Write into this board's profile:\n\n[output]\nua_per_count = {scale_ua:.4g}")

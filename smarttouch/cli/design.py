@@ -1,5 +1,5 @@
-"""``smarttouch design`` and ``profiles``: kernels as tables, JSON and pictures; lists of
-profiles."""
+"""``smarttouch design`` and ``profiles``: kernels as tables, JSON and pictures; profiles listed,
+shown and created."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,12 +33,12 @@ def design(
         option("Choose the class to stimulate: RA, SAI or PC (default: all).", "RA|SAI|PC"),
     ] = None,
     any_node: Annotated[
-        bool, option("Also search for the best target node.", None, "--any-node")
+        bool, option("Search the whole axon for the best target node.", None, "--any-node")
     ] = False,
     json_file: JsonOption = None,
     plot_file: Annotated[
         Path | None,
-        output_file("Draw the kernels of the site (default: the middle one).", "PNG", "--plot"),
+        output_file("Draw the kernels of the site (default: of the middle site).", "PNG", "--plot"),
     ] = None,
 ) -> None:
     """Show kernels: currents that stimulate one class.
@@ -88,7 +88,7 @@ profiles: Commands = Commands(
     help="List the shipped profiles, show one, and make your own.", invoke_without_command=True
 )
 
-_Name = Annotated[str, argument("A shipped profile, or a file.", "NAME|FILE")]
+_Name = Annotated[str, argument("Name of a shipped profile, or a profile file.", "NAME|FILE")]
 
 
 @profiles.callback()
@@ -142,7 +142,7 @@ def show(
         from smarttouch.views.figure_style import new_figure, plain, save
 
         if not (log := read_levels(chosen)):
-            raise ProfileError(f"{chosen.name} has no logged level: keep one on a board for 10 s")
+            raise ProfileError(f"{chosen.name} has no logged level: hold a level for 10 s in a run")
         figure = new_figure(6, 3)
         plain(axes := figure.subplots(), chosen.name, "time, UTC", "comfortable current, mA")
         for mode in dict.fromkeys(settled.mode for settled in log):
@@ -158,8 +158,8 @@ def new(
     files: Annotated[
         list[Path],
         argument(
-            "For another array a CSV table with columns x_mm, y_mm and optionally diameter_mm; "
-            "then the profile to write.",
+            "The profile to write; before it, for another array, a CSV table with columns x_mm, "
+            "y_mm and optionally diameter_mm.",
             "[TABLE.csv] FILE.toml",
         ),
     ],
@@ -168,7 +168,7 @@ def new(
     like: Annotated[str, option("Start from this profile.", "NAME|FILE")] = "electric-mouse",
     overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
 ) -> None:
-    """Write a new profile: a copy with comments, or one with another array."""
+    """Write a new profile: a copy with its comments, or a profile for another array."""
     from smarttouch.base.errors import ProfileError
     from smarttouch.base.files import write_bytes
     from smarttouch.experiments.calibration import ProfileFile
@@ -178,7 +178,7 @@ def new(
     *tables, file = files
     if len(tables) + bool(grid) > 1:
         raise ProfileError(
-            "a table and --grid are given: leave one out, or both for a copy", key="table"
+            "a table and --grid exclude each other: give only one, or none for a copy", key="table"
         )
     copied = ProfileFile(like, file, overwrite)
     if not tables and not grid:
@@ -187,7 +187,7 @@ def new(
         return
     table = grid_of(grid, pitch_mm) if grid else tables[0]
     title = table.stem if isinstance(table, Path) else str(table)
-    changed = copied.profile.with_electrodes(table, f"{title}, else as {like}")
+    changed = copied.profile.with_electrodes(table, f"{title}, otherwise like {like}")
     write_bytes(file, as_toml(changed).encode(), ProfileError)
     kind = changed.output.kind
     typer.echo(f"written: {file}, {len(changed.electrodes)} electrodes, output.kind = {kind}")

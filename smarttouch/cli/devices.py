@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 devices: Commands = Commands(
-    help="List devices; show, measure, test or emulate one.",
+    help="List devices; show, measure, test or emulate a device.",
     invoke_without_command=True,
 )
 
@@ -44,9 +44,9 @@ def list_devices(context: typer.Context) -> None:
     rows = sorted((port.device, port.description) for port in ports)
     rows += [(f"camera:{number}", name) for number, name in cameras()]
     if rows:
-        print_table(rows, ("port", "description by the system"), left=2)
+        print_table(rows, ("port", "description from the system"), left=2)
     else:
-        typer.echo("No serial port and no camera.")
+        typer.echo("No serial port and no camera was found.")
     names = ", ".join(f"{serial_port}:" for serial_port in BOARDS.names)
     typer.echo(
         f"\nDrivers: {names}. Choose the one for your board, for example "
@@ -60,21 +60,21 @@ def emulate(
         str,
         argument(
             "link, kajimoto61, etactilekit, serial-array, hx711 or loadcell, with options as in "
-            "'link?electrodes=16&event=2 lift'; or a file of --board 'KIND:PORT?record=FILE'.",
+            "'link?electrodes=16&event=2 lift'; or a file made by --board 'KIND:PORT?record=FILE'.",
             "KIND|FILE",
         ),
     ],
 ) -> None:
-    """Emulate a board on skin, or a sensor, at a port, until Ctrl-C."""
+    """Emulate a board on skin, or a sensor, on a new port, until Ctrl-C."""
     from smarttouch.emulator.devices import emulate as emulate_device
 
     emulate_device(device, advise=True)
 
 
-_Url = Annotated[str, argument("kajimoto61:PORT, etactilekit:PORT, link:PORT", "URL")]
+_Url = Annotated[str, argument("A board: kajimoto61:PORT, etactilekit:PORT, link:PORT.", "URL")]
 
 _WALK_MA = 0.5
-_ENDS = ("q", "\x03", "\x04", "")  # keys that end the test; empty: the terminal is gone
+_ENDS = ("q", "\x03", "\x04", "")  # keys that end the test; empty: the terminal was closed
 
 
 @devices.command()
@@ -156,9 +156,9 @@ def measure(url: _Url, profile: ProfileOption = None) -> None:
     ]
     print_table(rows, ("electrode", "kohm", ""), left=3)
     if impedance.lifted:
-        typer.echo("No electrode touches anything: put the finger on, and measure again.")
+        typer.echo("No electrode touches the skin: put the finger on the array, and measure again.")
     elif impedance.broken:
-        typer.echo("Open or shorted electrodes. To exclude them, write in the profile:\n")
+        typer.echo("Electrodes are open or shorted. To exclude them, write into the profile:\n")
         typer.echo(f"[output]\nmasked = {list(impedance.broken)}")
 
 
@@ -167,7 +167,7 @@ def measure(url: _Url, profile: ProfileOption = None) -> None:
 def try_out(
     url: _Url,
     current_ma: Annotated[
-        float | None, option("Raise the current of each electrode up to this.", "MA")
+        float | None, option("Raise the current of each electrode to this value.", "MA")
     ] = None,
     seconds: Annotated[
         float | None,
@@ -190,7 +190,7 @@ def try_out(
     require_site(display.profile, sites[-1])
     if not sys.stdin.isatty() and (seconds is None or current_ma is None):
         raise SmartTouchError(
-            "there is no keyboard to continue or stop: give --seconds and --current-ma, "
+            "there is no keyboard to continue or stop: add --seconds and --current-ma, "
             f"for example {_WALK_MA:g}"
         )
     current_ma = _WALK_MA if current_ma is None else current_ma
@@ -216,5 +216,5 @@ def try_out(
         followers = [OnEvent(say), *as_listeners([note_pulses])]
         run_walk(walk, display, listeners=followers, stop=stop, force=force)
     if missed := [str(site) for site in tried if site not in pulsed]:
-        typer.echo(f"Electrodes with no pulse: {', '.join(missed)}.")
+        typer.echo(f"Electrodes without a pulse: {', '.join(missed)}.")
     typer.echo("All electrodes are at zero.")

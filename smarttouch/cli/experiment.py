@@ -1,4 +1,4 @@
-"""``smarttouch experiment``: psychophysics with pulses, and ``experiment fit`` of its answers."""
+"""``smarttouch experiment``: psychophysical experiments with pulses, and fits of their answers."""
 
 import sys
 from collections.abc import Sequence
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from smarttouch.experiments.findings import Finding
 
 _ANATOMY = "paper"
-_FINGER = 2  # finger 1 has no afferent that full RA pulses of the concentric electrode reach
-_FREE_HZ = 50.0  # initial pulse rate
+_FINGER = 2  # not 1: RA pulses of the profile concentric reach no afferent of finger 1
+_FREE_HZ = 50.0  # initial pulse rate of free stimulation
 
 
 experiment: Commands = Commands(
@@ -41,7 +41,7 @@ experiment: Commands = Commands(
 
 @dataclass(frozen=True, kw_only=True)
 class _Participant(OptionGroup):
-    """Options for the participant and the file of answers."""
+    """Options of an experiment: participant, session and file of answers."""
 
     subject: Annotated[str, option("Name the participant.", "NAME")] = ""
     session: Annotated[str, option("Name the session.", "NAME")] = ""
@@ -56,7 +56,7 @@ class _Participant(OptionGroup):
 
     @property
     def name(self) -> str:
-        """Name in the file; a simulated participant gets its own, so that files are not mixed."""
+        """Name in the file. Simulated participants have another name, so that answers never mix."""
         who = self.simulate and f"simulated-{self.simulate}"
         return "-".join(filter(None, (self.subject, who)))
 
@@ -71,8 +71,8 @@ def run_listed(
         str | None,
         argument(
             "An experiment, free, or your own file (default: list all). Options "
-            "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27', "
-            "also rate_hz (unless rates are compared), trials, train_s, gap_s and answer_s.",
+            "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27'; "
+            "more are rate_hz (unless rates are compared), trials, train_s, gap_s and answer_s.",
             "NAME|FILE.py",
         ),
     ] = None,
@@ -80,9 +80,9 @@ def run_listed(
 ) -> None:
     """Run an experiment; repeat the command to continue it.
 
-    The screen names the keys for answers; those of smarttouch live also work; q ends the session.
-    With free: ↑ ↓ change the amplitude, ← → the rate, [ ] the site, 1 to 9 mark percepts; each
-    change is an event in the recording.
+    The screen names the keys for answers. The keys of smarttouch live also work; q ends the
+    session. With free: ↑ ↓ change the amplitude, ← → the rate, [ ] the site, 1 to 9 mark percepts;
+    the recording contains each change as an event.
     """
     if text is None:
         _list_all()
@@ -118,19 +118,19 @@ def _run_trials(
     simulate, observer = who.simulate, None
     if simulate is None:
         if not sys.stdin.isatty():
-            message = "there is no keyboard to answer on: use a terminal, or add --simulate"
+            message = "there is no keyboard for answers: use a terminal, or add --simulate"
             raise ExperimentError(message)
     else:
         choice_of("simulate", simulate, ("model", "random"))
         if not run.board_url.startswith("simulated:"):
             raise ExperimentError(
-                "a simulated participant never drives a board that a finger may be on: not "
-                f"{run.board_url!r}, only simulated:"
+                f"a simulated participant cannot use {run.board_url!r}, as a finger may be on "
+                "this board: use --board simulated:"
             )
     afferent = parse_afferent(mode)
     is_default = run.profile is None and run.load_profile().name == DEFAULT_PROFILE
     if name == "frequency" and afferent is Afferent.RA and is_default:
-        # The electrode of the paper's experiment (III-C).
+        # Use the electrode of the paper's experiment (Section III-C).
         run = replace(run, profile="concentric")
     setup = Setup(run.load_profile(), afferent, **options)
     stem, setup.seed = sessions.session_name(
@@ -160,7 +160,7 @@ def _run_trials(
 
 
 def _run_free(run: RunOptions, who: _Participant, mode: str, options: dict[str, Any]) -> None:
-    """Let a user set the current by hand, up to the device's limit (paper, III-A)."""
+    """Let a user set the current by hand, up to the device's limit (paper, Section III-A)."""
     from smarttouch.base.afferent import Mode
     from smarttouch.experiments.experiment_session import numbered
     from smarttouch.experiments.free_stimulation import FreeSource, raise_to_device_limits
@@ -171,16 +171,16 @@ def _run_free(run: RunOptions, who: _Participant, mode: str, options: dict[str, 
 
     if who.simulate is not None or who.output is not None:
         raise ExperimentError(
-            "free stimulation has neither answers nor simulations: leave out --simulate and "
-            "--output, and use --record"
+            "free stimulation has no answers and no simulated participant: leave out --simulate "
+            "and --output, and use --record"
         )
     if not sys.stdin.isatty() and run.seconds is None:
-        message = "there is no keyboard to end the run: use a terminal, or give --seconds"
+        message = "there is no keyboard to end the run: use a terminal, or add --seconds"
         raise ExperimentError(message)
     record = run.record or numbered(Path("free.mcap"))
     run = replace(run, profile=run.profile or "line-8", record=record)
     if run.intensity is None and not run.on_a_finger:
-        # Start at zero on simulated boards, too.
+        # Start at zero on simulated boards, too, as on real boards.
         run = replace(run, intensity=0.0)
     profile = raise_to_device_limits(run.load_profile())
     with bank_progress() as progress:
@@ -192,15 +192,15 @@ def _run_free(run: RunOptions, who: _Participant, mode: str, options: dict[str, 
     source.url = "experiment:free"
     config = run.config(Mode.COLOR, scan="points")
     run.start(source, profile, config, keys=source.keys, keys_help=source.keys_help)
-    typer.echo(f"every change is an event of {run.record}")
+    typer.echo(f"{run.record} contains every change as an event")
 
 
 @experiment.command()
 def fit(
     files: Annotated[
-        list[Path], argument("CSV files of answers, one for each condition.", "FILE...")
+        list[Path], argument("CSV files of answers, one file for each condition.", "FILE...")
     ],
-    x: Annotated[str, option("Column of the comparison.", "COLUMN")] = "comparison",
+    x: Annotated[str, option("Column of comparison stimuli.", "COLUMN")] = "comparison",
     y: Annotated[str, option("Column of answers: 1, 0 or empty.", "COLUMN")] = "success",
     at: Annotated[
         float | None,
@@ -209,7 +209,7 @@ def fit(
     plot: Annotated[Path | None, output_file("Draw shares and thresholds.", "PNG|PDF|SVG")] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Fit thresholds with intervals to answers.
+    """Fit thresholds with credible intervals to answers.
 
     Several files, for example of RA and PC mode, are shown in one table and one picture.
     """
@@ -247,7 +247,7 @@ def _print(fitted: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
         if rows:
             terminal_output.print_table(rows, heading, left=0)
         if table.cut:
-            console.print("the last line of the file is incomplete and is left out", style="dim")
+            console.print("the last line of this file is incomplete and is ignored", style="dim")
         for finding in findings:
             about = f"{finding.answers.standard:g}: " if compares else ""
             if finding.verdict is not None:

@@ -36,11 +36,11 @@ def live(
         option("Choose the class to stimulate: RA (default), SAI, PC or natural.", "CLASS"),
     ] = None,
 ) -> None:
-    """Show on the finger what a source sees.
+    """Show the images or stimuli of a source on the finger.
 
     The run ends with its source, or when you press q or Ctrl-C. A page is read at about 30 words a
-    minute. On a screen it is repeated, unless files are written; 'text:Hello?passes=1' is read
-    once.
+    minute. On a screen the page is repeated, unless files are written; 'text:Hello?passes=1' is
+    read once.
     """
     from smarttouch.base.files import data_folder
 
@@ -66,7 +66,7 @@ def _show(run: RunOptions, url: str, mode: str | None) -> None:
     dark, seed = bool(settings.get("light_on_dark")), settings.get("seed")
     with open_source(url, chosen, light_on_dark=dark, seed=seed, **accepted) as opened:
         if opened.pointer is not None and not run.window:
-            raise SourceError("motion=page follows the pointer over the run's page: add --window")
+            raise SourceError("motion=page follows the pointer in the browser: add --window")
         suits = {"mode": asked or "RA"} | dict(opened.settings)
         if asked is not None and suits["mode"] != asked:
             message = f"{opened.title} chooses its own classes: leave out --mode"
@@ -84,16 +84,16 @@ def _show(run: RunOptions, url: str, mode: str | None) -> None:
 @takes_options
 def replay(
     run: RunOptions,
-    file: Annotated[Path, argument("A recording, complete or cut off.", "FILE")],
+    file: Annotated[Path, argument("A recording, complete or interrupted.", "FILE")],
     check: Annotated[
-        bool, option("Compute all sequences again and compare them exactly.", None, "--check")
+        bool, option("Compute all sequences again, and compare them exactly.", None, "--check")
     ] = False,
     info: Annotated[bool, option("Print a summary and the events.", None, "--info")] = False,
 ) -> None:
     """Play a recording, compute it again and compare, or print its summary.
 
-    The default is the recorded profile, which never raises the limits of a real board. The recorded
-    force is used on simulated boards only; --intensity scales the recorded intensity.
+    Simulated boards use the recorded profile by default, and the recorded force. A real board uses
+    its own profile and force. --intensity scales the recorded intensity.
     """
     from smarttouch.running.recorded_source import RecordedControls, RecordingSource
     from smarttouch.running.recording import RecordedRun
@@ -115,7 +115,7 @@ def replay(
 
 
 def _check(file: Path, profile: str | None) -> None:
-    """Print the result; exit with status 1 if sequences differ."""
+    """Print the result of the comparison; exit with status 1 if sequences differ."""
     from smarttouch.kernels.bank import load_bank
     from smarttouch.profile import load_profile
     from smarttouch.running.check_recording import check_recording

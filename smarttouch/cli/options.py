@@ -1,4 +1,4 @@
-"""Options shared by several commands, the parts of a run that they make, and plain help."""
+"""Options of several commands, parts of a run that these options define, and help as plain text."""
 
 import inspect
 import sys
@@ -30,12 +30,12 @@ _MOST_BYTES = 256_000_000  # largest standard input
 
 
 def option(says: str, metavar: str | None = None, *names: str, **more: Any) -> Any:
-    """Return an option of a command, for a parameter's ``Annotated``."""
+    """Return a typer option, to annotate a parameter of a command."""
     return typer.Option(*names, help=says, metavar=metavar, **more)
 
 
 def output_file(says: str, metavar: str, *names: str) -> Any:
-    """Return an option for an output file, whose folder must exist."""
+    """Return a typer option for an output file, whose folder must exist."""
     return option(says, metavar, *names, callback=_in_a_folder)
 
 
@@ -45,7 +45,7 @@ def _in_a_folder(path: Path | None) -> Path | None:
 
 
 def argument(says: str, metavar: str | None = None, **more: Any) -> Any:
-    """Return an argument of a command, for a parameter's ``Annotated``."""
+    """Return a typer argument, to annotate a parameter of a command."""
     return typer.Argument(help=says, metavar=metavar, **more)
 
 
@@ -72,7 +72,7 @@ def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
 
     expanded.__name__, expanded.__doc__ = command.__name__, command.__doc__
     expanded.__annotations__ = {parameter.name: parameter.annotation for parameter in taken}
-    # Typer reads the signature; type checkers do not know the attribute.
+    # Typer reads __signature__. Set it by vars: type checkers do not know the attribute.
     vars(expanded)["__signature__"] = inspect.Signature(taken)
     return expanded
 
@@ -80,7 +80,7 @@ def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
 def read_form(
     form: Callable[..., Any], text: str, error: type[SmartTouchError], but: Collection[str] = ()
 ) -> tuple[str, dict[str, Any]]:
-    """Parse a name, and the options after ``?`` for the parameters of a function."""
+    """Parse ``NAME?OPTIONS``; return the name and the options, which are parameters of ``form``."""
     from smarttouch.base.urls import options_of, read_options
 
     name, accepted = read_options(form, text, error, but)
@@ -91,12 +91,12 @@ def read_form(
 
 
 def parse_mode(mode: str) -> Mode:
-    """Parse a mode that images can drive."""
+    """Parse the name of a mode. Color mode is not allowed, because images cannot drive it."""
     return choice_of("mode", mode, [known for known in Mode if known is not Mode.COLOR])
 
 
 def parse_afferent(mode: str) -> Afferent:
-    """Parse an afferent class."""
+    """Parse the name of an afferent class."""
     return Afferent[choice_of("mode", mode, Afferent.__members__)]
 
 
@@ -125,7 +125,7 @@ ForceOption = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(OptionGroup):
-    """Options of all commands that run a source, as typed."""
+    """Options of all commands that run a source, as the user typed them."""
 
     board: Annotated[
         str | None,
@@ -179,14 +179,14 @@ class RunOptions(OptionGroup):
 
     @property
     def on_a_finger(self) -> bool:
-        """True if there may be a finger on the board."""
+        """Whether a finger may be on the board."""
         from smarttouch.boards.open import may_touch_a_finger
 
         return may_touch_a_finger(self.board_url)
 
     @property
     def is_watched(self) -> bool:
-        """True if the run writes no files."""
+        """Whether a person can watch the run, and no files are written."""
         return (self.window or (draws() and not self.plain)) and not self.files
 
     @cached_property
@@ -203,20 +203,20 @@ class RunOptions(OptionGroup):
         return self._chosen or load_profile(default_profile(self.board_url))
 
     def display(self, profile: "Profile") -> "Display":
-        """Return the display, not opened yet."""
+        """Return a display that is not open yet."""
         from smarttouch.running.display import Display
 
         return Display(self.board_url, profile)
 
     def config(self, mode: str, **more: Any) -> "RunConfig":
-        """Return the configuration of an interactive run; ``more`` are defaults of the command,
-        which --set replaces."""
+        """Return the configuration of an interactive run. ``more`` are the command's defaults for
+        settings that --set can replace."""
         from smarttouch.running.config import RunConfig
 
         return RunConfig(**({"mode": mode, "paced": True} | more | self.settings()))
 
     def settings(self) -> dict[str, Any]:
-        """Return the settings of `RunConfig` given by --set."""
+        """Return the settings of `RunConfig` that the options define."""
         from smarttouch.running.config import RunConfig
 
         texts = [text for text in self.set_ or () if text.partition("=")[0] not in _NOT_OF_CONFIG]
@@ -230,7 +230,7 @@ class RunOptions(OptionGroup):
 
     @property
     def vibrators(self) -> str | None:
-        """WAV file or sound card of the vibrator for PC."""
+        """WAV file or sound card for a vibrator that drives PC; None without a vibrator."""
         return self._set("vibrators")
 
     def finger(self, usual: str = "branched", seed: int = 1) -> tuple[str, int]:
@@ -263,7 +263,7 @@ class RunOptions(OptionGroup):
         ready: "Display | None" = None,
         **more: Any,
     ) -> None:
-        """Run a source in the terminal until its end, see `run_in_terminal`."""
+        """Run a source in the terminal until the run ends; see `run_in_terminal`."""
         from smarttouch.views.terminal_session import run_in_terminal
 
         if self.on_a_finger:
@@ -282,10 +282,10 @@ _NOT_OF_CONFIG = ("finger", "vibrators")  # names for --set that are not setting
 
 
 def or_standard_input(ctx: typer.Context, value: str | None) -> str | None:
-    """Return the value of an argument.
+    """Return the value of an argument; for ``-``, the path of a temporary file with the standard
+    input.
 
-    For ``-``, write standard input to a temporary file, and return its path; the file is removed
-    when the command ends.
+    The file is removed when the command ends.
     """
     return str(ctx.with_resource(_file_of_standard_input())) if value == "-" else value
 
@@ -309,7 +309,7 @@ def _file_of_standard_input() -> Iterator[Path]:
 
 
 class PlainGroup(TyperGroup):
-    """Group of commands with plain help."""
+    """Group of commands whose help has no boxes and no colors."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """List each command with the first sentence of its help."""
@@ -323,7 +323,7 @@ class PlainGroup(TyperGroup):
 
 
 class Commands(typer.Typer):
-    """Command-line program with plain help, without boxes or colors."""
+    """Command-line program whose help has no boxes and no colors, for screen readers."""
 
     def __init__(self, **settings: Any) -> None:
         context = {"help_option_names": ["-h", "--help"]}

@@ -39,13 +39,13 @@ _TAGS = {code: tag for tag, code in _TESSERACT.items()}
 
 @dataclass(frozen=True, kw_only=True)
 class DocumentOptions(OptionGroup):
-    """Options of a document."""
+    """Options for opening and recognizing a document."""
 
     password_file: Annotated[
         str | None,
         option(
-            "Read the password of a PDF from this file, or from standard input (-) (default: "
-            "ask at the terminal).",
+            "Read the password of a PDF from this file; - means standard input (default: ask in "
+            "the terminal).",
             "FILE|-",
         ),
     ] = None
@@ -55,7 +55,7 @@ class DocumentOptions(OptionGroup):
     ] = None
 
     def recognition(self, source: str) -> "tuple[str, RecognitionOptions]":
-        """Return the document and its options, including those after its name."""
+        """Return the address of a document, and its options, some of which follow its name."""
         from smarttouch.base.urls import all_options
         from smarttouch.pages.text_file import FileKind, file_kind
         from smarttouch.reading.recognition import RecognitionOptions
@@ -89,14 +89,14 @@ TableOption = Annotated[
 
 
 def table_of(table: str | None, language: str | None) -> str:
-    """Return the Braille table: the given one, or that of the first language."""
+    """Return the Braille table: ``table`` or, by default, the table of the first language."""
     first = (language or "en").partition("+")[0]
     return table or _TAGS.get(first, first)
 
 
 @dataclass(frozen=True)
 class _Form:
-    """Options after the name of a form in ``--as``."""
+    """Options of ``--as FORM?OPTIONS``."""
 
     table: str | None = None
     speed_mm_s: float | None = None
@@ -121,7 +121,7 @@ class FormOptions(OptionGroup):
     ) -> "tuple[Shapes | Braille, float | None]":
         """Return letter shapes or Braille, and the requested speed, mm/s.
 
-        The default table is that of the language.
+        By default, the language determines the Braille table.
         """
         from smarttouch.reading.braille_lines import Braille
         from smarttouch.reading.letter_shapes import Shapes
@@ -155,7 +155,7 @@ def read(
 ) -> None:
     """Read a page with a fingertip, line by line.
 
-    Arrow keys choose a line, r repeats it; those of smarttouch live also work.
+    Arrow keys choose a line, and r repeats the line. The keys of smarttouch live also work.
     """
     from smarttouch.imaging.array_window import profile_for_reading
     from smarttouch.reading.line_source import ReadingSource
@@ -197,7 +197,7 @@ def braille(
         str | None,
         argument(
             "A file of text (HTML, EPUB, DOCX …), cells (.brf) or print (image, PDF); "
-            "a text, or text:WORDS where it could be a file; - for standard input.",
+            "words, or text:WORDS if a file has this name; or - for standard input.",
             "TEXT|FILE|-",
             callback=or_standard_input,
         ),
@@ -254,7 +254,7 @@ def braille(
 
 
 def _print_cells(lines: list[str]) -> None:
-    """Print lines of cells, as ASCII Braille if the output's encoding has no cells."""
+    """Print lines of cells; as ASCII Braille if the output's encoding has no Braille characters."""
     import sys
 
     from smarttouch.braille.brf import ascii_braille
@@ -308,7 +308,7 @@ def braille_display(
 
         sudo brltty -b vr -d client:
 
-    The finger then reads the console and, through BrlAPI, what Orca reads on a desktop.
+    The finger then reads the console and, through BrlAPI, the text that Orca sends on a desktop.
     """
     from smarttouch.imaging.array_window import profile_for_reading
     from smarttouch.sources import open_source

@@ -31,7 +31,7 @@ def simulate_page(
     source: Annotated[
         str,
         argument(
-            "A page, a text or words, as for smarttouch read.",
+            "A page, a text file or words, as for smarttouch read.",
             "FILE",
             callback=or_standard_input,
         ),
@@ -86,13 +86,13 @@ def simulate_page(
 @simulate.command()
 def study(
     plan: Annotated[Path, argument("Plan of the study.", "STUDY.toml")],
-    output: Annotated[Path, option("Write to this folder; a study in it is continued.", "DIR")],
+    output: Annotated[Path, option("Write to this folder, or continue the study there.", "DIR")],
     cluster: Annotated[
         str | None,
-        option("Compute on the Dask cluster of the scheduler at tcp://HOST:8786.", "ADDRESS"),
+        option("Compute on the Dask cluster with this scheduler, tcp://HOST:8786.", "ADDRESS"),
     ] = None,
 ) -> None:
-    """Run or continue a study of fingers, profiles, modes, scans and letters."""
+    """Run or continue a study that varies fingers, profiles, modes, scans and letters."""
     from smarttouch.experiments.study import (
         ROWS_FILE,
         TABLE_NOTE,
