@@ -40,7 +40,7 @@ MOST_RENDERED_PIXELS = 36_000_000
 resolution, because most of them are scans whose PDF counts each pixel as a point (1/72 inch)."""
 GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
 _LEAST_BELIEVED_DPI = 50.0
-"""Lowest plausible resolution. Lower values, and 72, are defaults for an unknown resolution."""
+"""Lowest plausible resolution. Images of unknown resolution state less, or 72, by default."""
 
 
 class LockedError(PageError):
@@ -48,7 +48,7 @@ class LockedError(PageError):
 
 
 class Document(Closing):
-    """Pages of a PDF, TIFF or other image, loaded on request; the content decides on the format.
+    """Pages of a PDF, TIFF or other image, loaded on request. The content tells the format.
 
     A PDF page is rendered with its filled-in forms, and provides its text. An image file is open
     only while a page is loaded. Only one thread at a time may load pages. ``notes`` lists
@@ -173,12 +173,12 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
     return pdf
 
 
-_STAMP = 100  # most rotated characters that are a stamp; with more, the page is rotated
-_LEVEL = 10.0  # deviation from horizontal or vertical, degrees, from which text is slanted
-_FINE = 1000.0  # units per point in which PDFium is asked for integer coordinates
+_STAMP = 100  # up to this number, rotated characters are a stamp; with more, rotate the page
+_LEVEL = 10.0  # angle to horizontal or vertical, degrees, from which text is slanted
+_FINE = 1000.0  # integer coordinates are requested from PDFium in 1/1000 point
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
 _SPACES = _NONE, _MOVED, _MADE, _TYPED = ("", "\n", "\t", " ")
-"""`Segment.space`: no space, a line break, a space that PDFium inserts, or a space in the file."""
+"""Values of `Segment.space`: none, line break, space inserted by PDFium, space in the file."""
 
 
 def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
@@ -219,12 +219,12 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
                 space = _NONE
 
 
-_ABOVE, _AROUND = 0.95, 0.3  # area of a letter above and below its baseline, in letter sizes
+_ABOVE, _AROUND = 0.95, 0.3  # reach of a letter above and below its baseline, in letter sizes
 _FAINT = 12  # contrast, gray levels, below which print is invisible
 _MOST_UNKNOWN = 0.05  # largest share of undefined characters in a text
-_MOSTLY = 0.5  # largest length of lines without text, relative to lines with text
+_MOSTLY = 0.5  # largest length of printed lines without text, relative to those with text
 _ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
-_BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # a character of a symbol font
+_BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # a bullet in a symbol font
 
 
 def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
@@ -246,12 +246,12 @@ def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
         2 * len(turned) > len(seen) or unknown > _MOST_UNKNOWN * len(seen)
         or missing > _MOSTLY * read
     ):  # fmt: skip
-        reason = "most of the text is turned or unreadable, or much print has no text"
+        reason = "most of the text is rotated or unreadable, or much print has no text"
         return replace(page, notes=(f"{reason}: the picture is recognized instead",))
     stamps = "".join((" " if sign.space else "") + sign.text for sign in turned).strip()
     notes = {
         DOUBTFUL: any(line.is_doubtful for line in ordered),
-        f"turned text is left out: {stamps}": turned,
+        f"rotated text is left out: {stamps}": turned,
         f"text that is not visible is left out (characters: {hidden})": hidden,
         f"print that is not text in the file is left out (lines: {len(others)})": others,
     }
@@ -260,15 +260,15 @@ def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
 
 
 _SMALLER, _SHIFTED, _NEAR = 0.95, (0.1, 0.8), 0.55
-"""Super- and subscripts: largest size relative to the word, distance from its baseline, and gap."""
+"""Super- and subscripts: largest size, distances from the baseline, and gap to the word."""
 _INITIAL = 1.8  # smallest size of a drop cap relative to the text
-_TOUCHING, _FARTHEST = 0.3, 2.5  # gap from which a line break is a space; gap that ends a segment
-_SPACED, _WIDER = 0.8, 1.5  # widest letter spacing; smallest gap between words, in letter spacings
-_EVEN, _EACH = 0.25, 0.4  # justified text: largest difference of spaces; width per space
+_TOUCHING, _FARTHEST = 0.3, 2.5  # smallest gap of a space at a line break; gap that ends a segment
+_SPACED, _WIDER = 0.8, 1.5  # largest letter spacing; smallest gap of words in letter spacings
+_EVEN, _EACH = 0.25, 0.4  # justified text: largest difference of spaces; their width per space
 
 
 def _segments(signs: list[Segment]) -> list[Segment]:
-    """Join characters of horizontal text to segments; mark scripts by ``^`` above, ``_`` below."""
+    """Join characters of horizontal text to segments; mark superscripts ``^``, subscripts ``_``."""
     segments: list[Segment] = []
     for line in split(
         signs, lambda last, sign: abs(sign.y - last.y) > _SHIFTED[1] * max(sign.size, last.size)
@@ -293,7 +293,7 @@ def _spacing(line: list[Segment]) -> tuple[float, float]:
 
 
 def _join(segment: Segment, last: Segment, sign: Segment, tracking: float, widest: float) -> bool:
-    """Append a character to the last segment if it belongs to it; return whether it does."""
+    """Append ``sign`` to ``segment`` if both belong together; return whether they do."""
     gap = sign.gap(last)
     raised = (segment.y - sign.y) / max(segment.size, sign.size)
     is_space = sign.space == _TYPED or (
@@ -317,7 +317,7 @@ def _join(segment: Segment, last: Segment, sign: Segment, tracking: float, wides
     return True
 
 
-_ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # typical of fonts, in letter sizes
+_ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # in most fonts, in letter sizes
 
 
 def _text_line(line: Line, point_mm: float) -> TextLine:
@@ -350,8 +350,8 @@ def _erased(page: Page, signs: list[Segment], point_mm: float) -> tuple[list[Seg
 
 
 _COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 4
-"""Search for print without text: pixel size and range of letter heights, mm; smallest contrast,
-gray levels; smallest number of letters."""
+"""Values for finding print without text: pixel size and range of letter heights, mm; smallest
+contrast, gray levels; smallest number of letters."""
 
 
 def _print_on(page: Page) -> list[TextLine]:
@@ -363,6 +363,6 @@ def _print_on(page: Page) -> list[TextLine]:
     low, high = (height / _COARSE_MM for height in _LETTERS_MM)
     if np.count_nonzero((heights >= low) & (heights <= high)) < _FEWEST_SPOTS:
         return []
-    # Print in a scan may be rotated by 90°.
+    # The print of a scan may be rotated by 90°.
     turned = Page(np.ascontiguousarray(np.rot90(page.grey)), page.mm_per_pixel)
     return find_lines(page, None) or find_lines(turned, None)

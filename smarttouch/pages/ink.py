@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 
 Grey = NDArray[np.uint8]
 
-_WINDOW_PX = 41  # wider than strokes of text, so that a morphological closing leaves only paper
-_PAPER = 210.0  # gray level of normalized paper; its bright grains are above
+_WINDOW_PX = 41  # window of a closing: wider than strokes of text, so that only paper is left
+_PAPER = 210.0  # gray level to which paper is normalized; bright grains are above
 _CONTRAST, _PALE = 0.12, 0.2  # smallest contrast of ink, and of pale print, relative to paper
 _GRAINS, _FEWEST = 6.0, 2e-4
-"""Smallest contrast of ink, in standard deviations of the paper's grain; smallest share of ink."""
+"""Smallest contrast of ink, in standard deviations of paper grain; smallest share of ink pixels."""
 _CALM, _GRAINY = 5.0, 9.0
-"""Grain, gray levels, up to which the threshold follows nearby ink, and from which only all ink."""
+"""Grain of paper, gray levels, up to which the threshold follows nearby ink, and from which not."""
 
 
 @dataclass(frozen=True, eq=False)
 class Paper:
     """Page converted to dark on light, with a mask of its ink."""
 
-    ink: NDArray[np.bool_]  # (H, W); empty on blank paper
+    ink: NDArray[np.bool_]  # (H, W); all False on blank paper
     cleaned: Grey  # (H, W), with paper exactly 255 and ink near 0
     light_on_dark: bool
     faint: bool = False  # whether faint marks, such as print on the back, were left out
@@ -41,19 +41,19 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     whole = grey[: height * factor, : width * factor]  # OpenCV is fastest with an integer factor
     small = np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     paper = _find_paper(small, min(_WINDOW_PX / factor, math.sqrt(small.size) / 12))
-    # Sample pixels, because averages would hide the grain.
+    # Sample single pixels: averages would hide the grain of the paper.
     flat = cv2.resize(grey, paper.shape[::-1], interpolation=cv2.INTER_NEAREST)
     flat = np.where(paper > 0, cv2.divide(flat, paper, scale=_PAPER), np.uint8(255))
     pixels, level = np.append(flat[paper > 0], np.uint8(_PAPER)), np.arange(256)
     counts = np.bincount(pixels, minlength=256)
     bright = np.where(level > 0.7 * _PAPER, counts, 0).cumsum()
     low, middle, high = np.interp(np.array([1, 2, 3]) / 4 * bright[-1], bright, level + 0.5)
-    grain = max((high - low) / 1.349, 1.0)  # standard deviation, from the quartiles
+    grain = max((high - low) / 1.349, 1.0)  # standard deviation of paper, by its quartiles
     sure, pale = (middle - max(part * middle, _GRAINS * grain) for part in (_CONTRAST, _PALE))
     otsu, _ = cv2.threshold(pixels, 0, 255, cv2.THRESH_OTSU)
     first = int(min(otsu if grain > 1 else max(otsu, pale), middle - 4 * grain))
     mean = counts[: first + 1] @ level[: first + 1] / max(counts[: first + 1].sum(), 1)
-    # Few pixels are sufficient if their contrast is high.
+    # A few pixels are enough to be ink if their contrast is high.
     enough = counts[level < sure].sum() >= _FEWEST * flat.size
     enough |= counts[level < 1.4 * sure - 0.4 * middle].sum() >= 4
     if not enough or middle - mean < 0.85 * (middle - sure):
@@ -97,7 +97,7 @@ def _find_paper(small: Grey, side: float) -> Grey:
 def _closed(image: Grey, side_px: float) -> Grey:
     """Remove dark spots narrower than ``side_px`` (morphological closing)."""
     square = np.ones((max(3, round(side_px)) | 1,) * 2, np.uint8)
-    calm = cv2.blur(image, (3, 3))  # otherwise the brightest grains would determine the result
+    calm = cv2.blur(image, (3, 3))  # otherwise the brightest grains would determine the level
     return np.asarray(cv2.blur(cv2.erode(cv2.dilate(calm, square), square), (3, 3)), np.uint8)
 
 

@@ -1,5 +1,5 @@
-"""Rows of letters: connected components of ink, linked from left to right within columns. For each
-row, the baseline with its curvature, the x-height, and whether it is text are determined."""
+"""Rows of letters: connected components of ink, linked from left to right within columns. Each row
+has a measured baseline and x-height, from which follows whether it is text."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -23,10 +23,10 @@ _RULE = 12.0  # ratio of length to thickness above which a component is a rule
 _LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the typical height
 _COMMA = (0.8, 0.5)  # largest height and width of a comma or quote, in typical heights
 _LONGEST = 40.0  # largest ratio of length to height of a word with touching letters
-_UNDERLINE, _THIN = 3.0, 0.3  # underline: least length, largest thickness, in letter heights
+_UNDERLINE, _THIN = 3.0, 0.3  # underline: smallest length, largest thickness, in letter heights
 _TWO_LINES, _LEAST_LINE = 1.7, 0.6
 """Smallest heights, in letter heights, of a component that may span two lines, and of a line."""
-_VALLEY = 0.25  # most ink of a pixel row between two touching lines, relative to each line
+_VALLEY = 0.25  # largest ink in the gap between two touching lines, relative to either line
 
 
 def weighted_median(values: Indices | Floats, weight: Floats) -> float:
@@ -106,7 +106,7 @@ def like_letters(components: Components, height: float) -> NDArray[np.bool_]:
 def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
     """Return masks, (H, W), of horizontal rules and underlines, and of vertical rules."""
     page, long = ink.view(np.uint8), round(_RULE * height)
-    # An underline has no ink below: in some scripts letters hang from a line.
+    # Only a line without ink below is an underline: in some scripts letters hang from lines.
     thick = max(3, round(_THIN * height))
     bare = page & ~np.pad(page, ((0, thick), (0, 0)))[thick:]
     # Widen the ink: a slightly tilted vertical rule has steps of one pixel.
@@ -136,11 +136,11 @@ def part_lines(ink: Ink, components: Components, height: float) -> Ink:
 
 
 _NEIGHBORS = 10  # number of candidates for the next letter
-_WIDEST_GAP = 3.8  # in heights of the taller letter; a dash with its two spaces
-_LEAST_OVERLAP = 0.45  # smallest vertical overlap of neighbors, relative to the shorter letter
-_LARGEST_RATIO = 2.8  # largest ratio of neighbors' heights; a parenthesis has 2.5 x-heights
+_WIDEST_GAP = 3.8  # largest gap in a row, in heights of the taller letter: a dash and two spaces
+_LEAST_OVERLAP = 0.45  # smallest vertical overlap in a row, relative to the shorter letter
+_LARGEST_RATIO = 2.8  # largest ratio of letter heights in a row; a parenthesis has 2.5 x-heights
 _LEAST_SPACE = 0.35  # narrowest space between words, in letter heights
-_LANE_PX = 3.0  # letter height in merged rows of pixels, among which lanes are searched
+_LANE_PX = 3.0  # letter height in merged pixel rows, in which lanes are searched
 _NARROWEST, _LANES = 0.75, ((1.25, 15.0), (1.9, 8.0))
 """Smallest width of a lane (white gap between columns), in letter heights; and pairs of smallest
 width, in typical spaces between words, and smallest length, in letter heights."""
@@ -164,7 +164,7 @@ def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[
     middle = (letters.top[first] + letters.bottom[first]) // 2
     passed = (np.cumsum(mask, axis=1, dtype=np.int32) for mask in (walls, lanes))
     walled, laned = (count[middle, end] > count[middle, start] for count in passed)
-    # A lane ends a row only at a gap that is wide for the letters: headlines have wide gaps.
+    # A lane ends a row only at a gap that is wide for its letters: headlines have wide gaps.
     wide = 2 * gap > _NARROWEST * (letters.height[first] + letters.height[second])
     free = ~(walled | (laned & wide))
     following = dict(zip(first[free].tolist(), second[free].tolist(), strict=True))
@@ -230,20 +230,20 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     return first[links], second[links], gap[links]
 
 
-_WORD, _PIECE = 1.3, 0.6  # width of several touching letters, and of the pieces to divide them into
+_WORD, _PIECE = 1.3, 0.6  # width from which letters touch; width of their pieces; in letter heights
 _DEGREES = (8.0, 20.0, 40.0)
-"""Smallest lengths of rows, in letter heights, for a baseline of degree 1, 2 and 3."""
+"""Smallest lengths of rows, in letter heights, for baselines of polynomial degree 1, 2 and 3."""
 _DESCENDING = 2.5  # weight of deviations below a baseline
 _ROUNDS = 5  # iterations of the robust fit
 _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # candidate x-heights, in letter heights
-_NEAR = (0.1, 0.5)  # tolerance within which heights are equal: x-heights, plus pixels
+_NEAR = (0.1, 0.5)  # tolerance of equal heights: share of the x-height, plus pixels
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of ascender height and descender depth from the baseline, in x-heights."""
-_UNDECIDED = 0.3  # share of letters that end above a baseline, from which it is too low
-_STROKES = (0.75, 2.9)  # range of strokes per x-height of length; print has 0.9 to 1.9
+_UNDECIDED = 0.3  # share of letters above a baseline from which the baseline is too low
+_STROKES = (0.75, 2.9)  # range for text of strokes per x-height of length; print has 0.9 to 1.9
 _TOUCHING = 1.3  # median width of components, in x-heights, from which letters touch
 _ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.65, 0.52, 0.8
-"""Smallest share of letters at typical heights: in general, if letters touch, if they are few."""
+"""Smallest share of letters at typical heights: normally, if letters touch, and if few letters."""
 MANY, _SOLID = 8, 0.75
 """Number of letters from which a row alone shows whether it is text. Share of ink in its box from
 which a component as wide as high is a disc or a square."""
@@ -288,8 +288,8 @@ class Baseline:
 
     @property
     def on_levels(self) -> float:
-        """Share of letters with their tops at typical heights, or share of letters with their bottoms
-        at typical heights: the smaller of the two."""
+        """Share of letters with tops at typical heights, or share of letters with bottoms at
+        typical heights: the smaller of the two."""
         near = _NEAR[0] * self.x_height + _NEAR[1]
         deep = (self.fall > _DEEP[0] * self.x_height) & (self.fall < _DEEP[1] * self.x_height)
         low = (np.abs(self.fall) < near) | deep
@@ -300,8 +300,8 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     """Measure a row of letters in ``ink``, (H, W).
 
     The baseline is a smooth curve through the lower ends of most letters. The x-height is chosen so
-    that most letters have x-height or ascender height. A short row is fitted with less freedom, and
-    keeps the slope of the surrounding lines, ``slope``.
+    that most letters have x-height or ascender height. The shortest rows get ``slope``, the
+    slope of the surrounding lines.
     """
     left, right, height = letters.left.min(), letters.right.max(), letters.usual_height
     x, top, bottom = _pieces(ink, letters, height)
@@ -361,7 +361,7 @@ def _fitted(x: Floats, y: Floats, degree: int) -> Floats:
         # ``full`` avoids a warning if all points have the same x, which leaves the slope open.
         curve = np.asarray(polynomial.polyfit(x, y, degree, full=True, w=weight)[0])
         away = y - polynomial.polyval(x, curve)
-        # Distances below the curve count more, because descenders are there.
+        # Distances below the curve count more, because descenders reach there.
         off = np.where(away > 0, _DESCENDING, 1) * np.abs(away)
         typical = float(np.partition(off, len(off) // 2)[len(off) // 2])
         # Weights of Geman and McClure: distant points hardly count.

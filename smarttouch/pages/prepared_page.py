@@ -34,10 +34,10 @@ LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
 """Note to the user if a sheet was found in a photograph."""
 FAINT = "faint marks, such as print on the back of the sheet"
 _SMALL_PX, _LARGEST_PIXELS = 9.0, 40_000_000
-"""Letter height, px, below which a page is enlarged; most pixels of an enlarged page."""
+"""Letter height, px, below which a page is enlarged; largest enlarged page, pixels."""
 _PICTURE, _FILLED = 9.0, 0.15
 """Smallest width and height of a picture, in letter heights; smallest share of ink in its box."""
-_FEWEST_PIXELS = 3  # smallest area of a component of print
+_FEWEST_PIXELS = 3  # smallest area of a component of print, pixels
 _HEIGHT = 0.96  # distance from ascender to descender, in font sizes
 
 
@@ -60,7 +60,7 @@ class PreparedPage:
 
 
 def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
-    """Return the lines of a page in reading order; None: detect whether print is light on dark."""
+    """Return the lines of a page in reading order; None detects whether print is light on dark."""
     return list(_with_lines(page, light_on_dark).lines)
 
 
@@ -127,7 +127,7 @@ def _with_lines(
 
 
 _SKEWS_DEG = np.linspace(-16, 16, 321)
-_LEAST_SKEW_DEG, _PEAK_DEG = 0.2, 0.6  # smallest skew to correct; half width of a peak
+_LEAST_SKEW_DEG, _PEAK_DEG = 0.2, 0.6  # smallest skew to correct; half width of a peak of counts
 _BIN, _FEWEST, _SURE = 0.25, 30, 2.0
 """Bin height of the histogram of letters' lower ends, in letter heights; smallest number of letters
 and smallest ratio of the peak to typical counts for which a skew is certain."""
@@ -149,10 +149,10 @@ def skew_of(letters: Components, height: float) -> float:
 
 
 _LEAST_SIDES, _LEAST_INK = (2.5, 5.0), 0.6
-"""Smallest height and width of a panel, in letter heights, and smallest share of ink."""
+"""Dark panel: smallest height and width, in letter heights, and smallest share of ink."""
 _LIGHT_LETTER, _FEWEST_LETTERS = (0.5, 9.0), 4
-"""Range of letter heights in a panel, relative to the page's (halftones have smaller dots), and
-smallest number of letters."""
+"""Letters in a panel: range of heights relative to letters of the page (the dots of halftones are
+smaller), and smallest number."""
 
 
 def _panels(ink: Ink, components: Components, height: float) -> Ink:
@@ -171,9 +171,9 @@ def _panels(ink: Ink, components: Components, height: float) -> Ink:
 
 
 _HOPELESS, _MISSES = 60, 3
-"""Most rows to try, plus rows per line found; all other rows are taken for parts of a picture."""
+"""Number of rows to try, and more for each line found; the other rows are parts of pictures."""
 _LEAST_X_HEIGHT_PX = 3.5  # smallest x-height of readable print
-_SHORT = 11.0  # letter heights; a shorter row gets the slope of the nearest line
+_SHORT = 11.0  # length, in letter heights; shorter rows get the slope of the nearest line
 
 
 def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Baseline], int]:
@@ -241,7 +241,7 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
 def _ordered(
     lines: list[Baseline], components: Components, page: Page, slope: float, leftward: bool
 ) -> tuple[tuple[TextLine, ...], bool]:
-    """Return lines with the marks at their ends in reading order, and whether it is doubtful."""
+    """Return the lines and their marks in reading order, and whether this order is doubtful."""
     if not lines:
         return (), False
     x_height, ascent, descent = _sizes(lines)
@@ -303,10 +303,10 @@ def _ends(lines: list[Baseline], components: Components) -> list[tuple[float, fl
 
 
 _SAME, _CAPITALS, _CAPITAL = 0.15, 0.08, 1.42
-"""Largest relative difference of x-heights of one font size; largest share of letters that are
-taller than the others in a line of capitals; height of a capital, in x-heights."""
+"""Largest relative difference of x-heights of one font size; largest share of tall letters in a
+line of capitals; height of a capital, in x-heights."""
 _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
-"""Ranges of ascent and descent, in x-heights."""
+"""Plausible ranges of ascent and descent, in x-heights."""
 
 
 def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:

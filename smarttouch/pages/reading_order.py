@@ -8,16 +8,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-_SAME_LINE, _SPACE = 0.3, 0.1  # distance of baselines in a line; gap of a space; in letter sizes
+_SAME_LINE, _SPACE = 0.3, 0.1  # largest baseline distance in a line; smallest gap of a space
 _WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
-"""Gaps, in letter sizes, that may separate columns: of words, of figures, and in a picture."""
-_APART, _FLUSH = 2.5, 0.4  # gap between separate lines; tolerance for ends of justified lines
+"""Smallest gap of columns, in letter sizes: between words, between figures, and in a picture."""
+_APART, _FLUSH = 2.5, 0.4  # smallest gap of separate lines; tolerance of ends of justified lines
 _FARTHER = 1.6  # smallest distance of blocks, relative to the typical row distance
 _EDGE = 0.125  # share of the page's height, at top and bottom, for running heads
 _WIDE_CELL, _WIDER, _WIDEST, _LOOSE = 5.0, 8.0, 13.0, 1.5
 """Mean line widths from which columns are prose: in pictures, in PDF files, and if rows are loose;
 and the row distance above which rows are loose; in letter sizes."""
-_FEWEST = 3  # smallest number of rows from which widths tell prose from tables
+_FEWEST = 3  # with fewer rows, the widths of lines do not tell prose from tables
 _SURE = 1.15  # ratio of line width to threshold above which the order is certain
 DOUBTFUL = "the reading order is doubtful: words side by side may be columns, or rows of a table"
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
@@ -123,7 +123,7 @@ def _joined(row: Row) -> Row:
 
 
 def _join_justified(rows: list[Row]) -> None:
-    """Join the segments of a justified row: it is as wide as the row of prose before it."""
+    """Join the segments of each justified row, which is as wide as the prose in the row before."""
     for (first, *others), row in itertools.pairwise(rows):
         ends = abs(row[0].left - first.left), abs(row[-1].right - first.right)
         if " " in first.text and not others and max(ends) < _FLUSH * first.size:
@@ -131,7 +131,7 @@ def _join_justified(rows: list[Row]) -> None:
 
 
 def _ordered(rows: list[Row]) -> list[Line]:
-    """Return the lines of rows; each band is read as columns, as a table, or row by row."""
+    """Return rows as lines; each band of rows is read as columns, as a table, or row by row."""
     _join_justified(rows)
     _join_justified(rows[::-1])
     lines: list[Line] = []
@@ -236,8 +236,8 @@ def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: flo
 def _lines(band: list[Row]) -> list[Line]:
     """Convert rows to lines.
 
-    Rows are table rows if the gaps of two rows overlap. Cells are separated at the fewest places
-    for which each gap contains one. A row with only a first column is a plain line.
+    Rows are table rows if the gaps of two rows overlap. Cells are separated at as few places
+    as possible, so that each gap contains a place. A row with only a first column is a plain line.
     """
     gaps = sorted((gap for row in band for gap in _free(row)[1:-1]), key=lambda gap: gap[1])
     shared: list[_Span] = []

@@ -91,10 +91,10 @@ def turned(grey: Grey, skew_deg: float) -> Grey:
     return flattened(grey, corners + (size - 1) / 2)
 
 
-_AROUND = 0.8  # area around a line to search for other lines' ink, in line heights
+_AROUND = 0.8  # area above and below a line that is searched, in line heights
 SIDES = 0.25  # margin before and after a line, in line heights
-_INK = 128  # gray level below which a pixel is ink of a spot
-_FADED = np.ones((5, 5), np.uint8)  # dilation of a spot to its gray edge
+_INK = 128  # gray level below which a pixel belongs to a spot of ink
+_FADED = np.ones((5, 5), np.uint8)  # adds the gray edge of a spot to the spot
 
 
 def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int) -> Grey:

@@ -20,7 +20,8 @@ MOST_BYTES, MOST_UNPACKED_BYTES = 50_000_000, 500_000_000
 _TIMEOUT_S, _MEMORY = 120.0, "1500M"
 _FILTER = Path(__file__).with_name("pandoc_text.lua")
 _BEGINNING_BYTES, _END_BYTES = 4096, 300_000
-_UTF16 = re.compile(rb"\xff\xfe|\xfe\xff|(?:[\t-~]\0){4}|(?:\0[\t-~]){4}")  # or ASCII
+_UTF16 = re.compile(rb"\xff\xfe|\xfe\xff|(?:[\t-~]\0){4}|(?:\0[\t-~]){4}")
+"""Start of a file in UTF-16: a byte-order mark, or four ASCII characters."""
 _NO_TEXT = bytes({*range(0x20), 0x7F} - {*b"\t\n\f\r\x1b"})
 _BRF = frozenset([".brf", ".brl", ".ueb", ".bfm"])
 _TEX = "+tex_math_dollars+tex_math_single_backslash"  # TeX formulas in Markdown
@@ -32,7 +33,7 @@ _BY_NAME = dict.fromkeys([".md", ".markdown"], _MARKDOWN) | dict.fromkeys(
     [".html", ".htm", ".xhtml"], f"html{_TEX}"
 )
 _ODF = rb"PK.{28}mimetypeapplication/vnd\.oasis\.opendocument\."
-_LISTED = rb"PK.*PK\x01\x02.{42}"  # from the start of a ZIP file to a name in its final directory
+_LISTED = rb"PK.*PK\x01\x02.{42}"  # a ZIP file up to the name of a member in its directory
 _KINDS = {
     rb"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b": f"html{_TEX}",
     _LISTED + rb"word/": "docx",
@@ -40,7 +41,7 @@ _KINDS = {
     _ODF + rb"text": "odt",
     _LISTED + rb"ppt/|" + _ODF + rb"presentation": "a presentation",
     _LISTED + rb"xl/|" + _ODF + rb"spreadsheet": "a spreadsheet",
-    rb"PK\x03\x04": "a packed file (such as ZIP, drawings and files of Pages)",
+    rb"PK\x03\x04": "a packed file (ZIP, or made by a drawing program or Pages)",
     rb"\{\\rtf": "an RTF document",
     rb".*<pef\b": "a PEF file",
     rb"\s*<(?:\?xml|svg\b|!--|!doctype svg)(?!.*<html)": "an XML document (such as an SVG drawing)",
@@ -150,11 +151,11 @@ def _kind_and_format(path: Path) -> tuple[FileKind, str]:
     if not kind or (suffix == ".txt" and not data.startswith(b"PK")):
         return FileKind.TEXT if is_text else FileKind.PAGES, ""
     remedy = "save it as PDF, DOCX, plain text or .brf"
-    raise PageError(f"{path} is {kind}, which is not read: {remedy}")
+    raise PageError(f"{path} is {kind}, which cannot be read: {remedy}")
 
 
 def _repacked(path: Path) -> tuple[bytes, list[bytes]]:
-    """Return a ZIP document without markup that makes pandoc drop text; and all its members."""
+    """Return a ZIP document without markup that makes pandoc drop text, and all its contents."""
     try:
         with zipfile.ZipFile(path) as packed:
             if sum(member.file_size for member in packed.infolist()) > MOST_UNPACKED_BYTES:
