@@ -29,7 +29,7 @@ FINEST_MM = 0.1
 _WIDTH = (900, 1400)  # smallest and largest width of a picture, pixels
 _MARGIN, _LABEL = 24, 28
 _DOT_PART = 0.8  # diameter of an electrode's dot, relative to the electrode's cell
-_STEPWISE_FROM = 5  # mean number of sequences per pose from which the finger moves in steps
+_STEPWISE_FROM = 5  # mean sequences per pose from which the finger counts as moving in steps
 _SCALE_PART = 0.2  # largest width of the scale bar, relative to the picture
 _SCALES_MM = (100, 50, 20, 10, 5, 2, 1, 0.5)
 Grey = NDArray[np.uint8]
@@ -99,7 +99,7 @@ class SpikeMap:
     def _pixels(
         self, places_mm: Places, pose: Pose
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-        """Return rows and columns of the points on the picture, and a mask, (N,), of them."""
+        """Return rows and columns of the points on the picture, and a mask of them, (N,)."""
         shape = self._passes.shape
         column, row = np.floor(self._placed(places_mm, pose) / self._pixel_mm).astype(np.intp).T
         on = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
@@ -121,7 +121,7 @@ class DeliveredDrawing(ABC):
         afferents: tuple[Afferent, ...],
         magnification: float = 1.0,
     ) -> None:
-        self.poses: dict[int, Pose] = {}  # by sequence number, only where intensity is above zero
+        self.poses: dict[int, Pose] = {}  # by sequence number, if intensity was above zero
         self._period_us: dict[int, int] = {}
         self.answers: dict[int, Floats] = {}  # responses, (E,) in [0, 1], by sequence number
         self._respond = partial(bank.responses, profile, afferents)
@@ -168,7 +168,7 @@ class DeliveredDrawing(ABC):
         return np.column_stack([pose.x_mm + x * cos - y * sin, pose.y_mm + x * sin + y * cos])
 
     def picture(self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float) -> Grey:
-        """Return the responses in an area as gray levels, (H, W): 255 is zero, 0 the strongest."""
+        """Return the responses in an area in gray, (H, W): 255 for none, 0 for the strongest."""
         raster = Raster(shape, self.strongest)
         silent = np.zeros(len(self._position_mm), np.float32)
         for number, pose in self.poses.items():

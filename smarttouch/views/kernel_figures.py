@@ -30,7 +30,7 @@ def kernel_figure(profile: Profile, kernels: Mapping[Afferent, Kernel], site: in
     for row, (afferent, kernel) in zip(panels, kernels.items(), strict=True):
         weights_drawn = draw_electrodes(row[0], profile, cmap=SIGNED_MAP, clim=(-1, 1))
         weights_drawn.set_array(kernel.peak_normalized)
-        worst = f"worst other {kernel.off_target:.2g} ({kernel.off_target_class.name})"
+        worst = f"off-target {kernel.off_target:.2g} ({kernel.off_target_class.name})"
         plain(row[0], f"{afferent.name} kernel\n{worst}", "", "y (mm)")
         for axes, shown in zip(row[1:], Afferent, strict=True):
             drawn = draw_field(axes, x, y, _activation(per_ma[shown], kernel))
@@ -70,8 +70,8 @@ def _line_figure(profile: Profile, kernels: Mapping[Afferent, Kernel]) -> "Figur
             right.legend(frameon=False, fontsize=7, ncols=2)
         plain(
             right,
-            f"worst other {kernel.off_target:.4g} ({kernel.off_target_class.name})",
-            "place (mm)",
+            f"off-target {kernel.off_target:.4g} ({kernel.off_target_class.name})",
+            "position (mm)",
             "AF relative to the target",
         )
     return figure

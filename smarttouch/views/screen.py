@@ -67,7 +67,7 @@ class Screen(Listener):
         self._outputs = [Output(self._console.file), Output(self._errors.file)]
         self._console.file, self._errors.file = (cast(TextIO, each) for each in self._outputs)
         self._terminal: Terminal | None = None
-        self._failure: BaseException | None = None  # to be raised in the run's thread
+        self._failure: BaseException | None = None  # while drawing, for the run's thread
         self._drawn: object = None
         self._rests_until_s = 0.0
 
@@ -221,7 +221,7 @@ class Screen(Listener):
             asked = sent.step.tactile.activation.max(axis=0)
             pictured = self._array.draw(asked, half, rows)
         else:
-            title = "source sees"
+            title = "source image"
             pictured = image_rows(image, half, rows, color=not self._console.no_color)
         wide = max(len(title), *(sum(len(words) for words, _ in row) for row in pictured))
         beside = max(2, width - 3 - wide)
@@ -235,7 +235,7 @@ class Screen(Listener):
         return [[*_padded(left, wide + 3), *right] for left, right in pairs]
 
     def _gauges(self, sent: StepResult, width: int) -> Rows:
-        """Return intensity, current, pressure and charge, each with a bar, ``width`` characters."""
+        """Return intensity, current, pressure and charge, each with a bar, in ``width`` columns."""
         frame, sequence, limits = sent.step.input, sent.step.sequence, self._profile.limits
         peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
         charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000
@@ -398,13 +398,13 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
             f"median, {latency['p99'] / 1000:.1f} ms p99"
         )
     net_uc = figures["max_net_charge_uc"] or 0
-    net = f"charge left after a discharge {1e6 * net_uc:.3g} pC at worst"
+    net = f"largest charge left by a discharge {1e6 * net_uc:.3g} pC"
     counted = f"{figures['emulator_violations']} violations counted by the board"
     if by_host:
         least, at_most = figures["pulses"], figures["pulses_at_most"]
         pulses = str(least) if least == at_most else f"{least} to {at_most}"
         net = f"net charge of all pulses at most {net_uc:.2g} µC on one electrode"
-        counted = f"{pulses} pulses, counted by this program: the board reports none"
+        counted = f"{pulses} pulses, counted by this program, as the board reports none"
     lines = [
         f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
         f"{figures['frames_in']} frames in, {figures['frames_delivered']} delivered, "

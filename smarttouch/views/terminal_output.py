@@ -24,7 +24,7 @@ _CONTROL = re.compile(
 def printable(text: str) -> str:
     """Return a text with control characters replaced by visible ones.
 
-    Newlines and tabs stay. A C0 control becomes its picture (␛ for Escape), any other becomes �.
+    Newlines and tabs stay. C0 control characters become their pictures (␛ for Escape), others �.
     """
     return _CONTROL.sub(_visible, text)
 
@@ -61,7 +61,7 @@ class PlainStream:
 
     @property
     def direct(self) -> "PlainStream":
-        """The same stream without replacement, for drawing."""
+        """This stream without replacement of control characters, for drawing."""
         return PlainStream(self._stream, self._name, plain=False)
 
     def isatty(self) -> bool:
@@ -97,7 +97,7 @@ def draws(shown: "Console | None" = None) -> bool:
 
 
 _WIDEST = 200
-_LONGEST_NAME = 40  # longest text in the first column for which the column is not wrapped
+_LONGEST_NAME = 40  # if no text of the first column is longer, the column is not wrapped
 
 
 def print_table(

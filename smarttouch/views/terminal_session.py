@@ -88,7 +88,7 @@ def run_in_terminal(
             config,
             force=force,
             listeners=[
-                *([] if page is None else [page]),  # first, to print its address first
+                *([] if page is None else [page]),  # prints its address first
                 shown,
                 *listeners,
                 operation,
@@ -144,7 +144,8 @@ def _load_kernels(profile: Profile) -> KernelBank:
 
 
 class _Operation(Listener):
-    """Listener that ends a run in order; with ``asks``, offers and logs comfortable levels."""
+    """Listener that lets a run end in order after a signal. With ``asks``, it also offers the last
+    comfortable level of each mode, and logs the levels that the user keeps."""
 
     def __init__(self, draws: bool, asks: bool) -> None:
         super().__init__()

@@ -22,7 +22,7 @@ class Vibrator(Listener):
     """Listener that drives PC by a mechanical vibrator instead of by current (paper, Section V).
 
     The signal is a sinusoid of 250 Hz. Its amplitude is the largest PC activation of the sequence;
-    1 is full scale. It lasts until the next sequence, at most 80 ms.
+    1 is full scale. The vibration lasts until the next sequence, at most 80 ms.
 
     Parameters
     ----------

@@ -112,7 +112,7 @@ MOST_PAGES = 16
 MOST_HZ = 60
 MOST_MESSAGES_PER_S = 400  # limit for one page; a page that exceeds it is disconnected
 _AT_ZERO = ("none", "pause")  # requests after which no current flows
-_BEAT_S = 0.2  # longest pause between messages to a page; each answer proves it alive
+_BEAT_S = 0.2  # longest pause between messages to a page; each answer proves the page alive
 _INFORMED_WITHIN_S = 0.5
 
 
@@ -125,8 +125,8 @@ class ConnectedPage:
     ended: str = ""  # last message of the run, once the page has received it
     shown: StepResult | None = None
     events: int = 0
-    sheet: int | None = None  # number of the sheet (page or line of print) that it shows
-    refused: str = ""  # reason why its last request was refused
+    sheet: int | None = None  # number of the sheet (page or line of print) on display
+    refused: str = ""  # reason why the page's last request was refused
     received: int = 0  # number of messages received during ``second``
     second: int = 0
 

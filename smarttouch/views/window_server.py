@@ -59,7 +59,7 @@ class PageServer:
         from starlette.routing import Mount
         from starlette.staticfiles import StaticFiles
 
-        # From here on the system queues connections; before, it would refuse them.
+        # From here on, the system queues connections instead of refusing them.
         self._socket = socket.create_server((HOST, 0), backlog=128)
         self.port: int = int(self._socket.getsockname()[1])
         self._prefix = f"/{secrets.token_urlsafe(24)}/"

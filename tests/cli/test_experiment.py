@@ -89,7 +89,7 @@ def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_p
     assert "(Ctrl-C)" in out
     # Whoever answers sees the question, and nothing that would tell the answer.
     assert "1 or 2" in out
-    for on_stop in ("RA electrodes", "slots,", "source sees", "comparison", "second after"):
+    for on_stop in ("RA electrodes", "slots,", "source image", "comparison", "second after"):
         assert on_stop not in out
     assert re.search(r"\b\d+ of 100\b", out)
     figures = json.loads((tmp_path / "run.json").read_text())
