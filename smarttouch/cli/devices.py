@@ -216,5 +216,5 @@ def try_out(
         followers = [OnEvent(say), *as_listeners([note_pulses])]
         run_walk(walk, display, listeners=followers, stop=stop, force=force)
     if missed := [str(site) for site in tried if site not in pulsed]:
-        typer.echo(f"Electrodes without a pulse: {', '.join(missed)}.")
+        typer.echo(f"Electrodes with no pulse: {', '.join(missed)}.")
     typer.echo("All electrodes are at zero.")

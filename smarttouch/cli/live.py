@@ -92,8 +92,8 @@ def replay(
 ) -> None:
     """Play a recording, compute it again and compare, or print its summary.
 
-    Simulated boards use the recorded profile by default, and the recorded force. A real board uses
-    its own profile and force. --intensity scales the recorded intensity.
+    By default, a simulated board uses the recorded profile and force, and a real board uses its own
+    profile and force. --intensity scales the recorded intensity.
     """
     from smarttouch.running.recorded_source import RecordedControls, RecordingSource
     from smarttouch.running.recording import RecordedRun

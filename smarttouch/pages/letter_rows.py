@@ -239,7 +239,7 @@ _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # candidate x-heights, in letter heights
 _NEAR = (0.1, 0.5)  # tolerance of equal heights: share of the x-height, plus pixels
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of ascender height and descender depth from the baseline, in x-heights."""
-_UNDECIDED = 0.3  # share of letters above a baseline from which the baseline is too low
+_UNDECIDED = 0.3  # share of letters ending above a baseline, from which it is too low
 _STROKES = (0.75, 2.9)  # range for text of strokes per x-height of length; print has 0.9 to 1.9
 _TOUCHING = 1.3  # median width of components, in x-heights, from which letters touch
 _ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.65, 0.52, 0.8

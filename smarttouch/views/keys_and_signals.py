@@ -224,8 +224,8 @@ def by_signal() -> bool:
 
 @contextmanager
 def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
-    """Let the block finish by itself after a stop request or signal. After a signal, it has
-    ``patience_s``. Outside the block, a signal raises RunStopped."""
+    """Let the block finish by itself after a stop request or signal. After a signal,
+    the block has ``patience_s``. Outside the block, a signal raises RunStopped."""
     command = current_command()
     command.patience_s = patience_s or command.patience_s
     before, command.orderly = command.orderly, True

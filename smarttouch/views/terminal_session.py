@@ -231,4 +231,4 @@ def _state(recording: "RecordedRun") -> str:
         return "complete"
     if recording.damaged_chunks:
         return f"damaged: {recording.damaged_chunks} chunks cannot be read"
-    return "incomplete: the program that wrote the recording did not end in order"
+    return "cut off: the program that wrote the recording did not end in order"

@@ -38,10 +38,11 @@ _GONE_S = 2.0  # time without a page after which the window closes; a reload tak
 class Window(Listener):
     """View of a run in a browser, served from its own thread; one page at a time has control.
 
-    The run's thread only stores the newest step. With ``alone``, the run pauses while no page has
-    control. With ``blind``, pages hide the stimulus. ``show`` is called with the address of the
-    page. The run begins when a page is open, or after ``waits_s``. A page that sends nothing for
-    ``lost_s`` loses control. With ``stays``, pages show the end of the run until `shut`.
+    The run's thread only stores the newest step. With ``alone``, the run pauses if the page in
+    control leaves or is lost. With ``blind``, pages hide the stimulus. ``show`` is called with the
+    address of the page. The run begins when a page is open, or after ``waits_s``. A page that sends
+    nothing for ``lost_s`` loses control. With ``stays``, pages show the end of the run until
+    `shut`.
     """
 
     def __init__(
