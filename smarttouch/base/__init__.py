@@ -1,3 +1,3 @@
-"""General modules used by all packages: errors, files, clocks, stopping, URLs and ports."""
+"""Modules that all packages use: errors, events, files, clocks, stop requests, URLs, ports."""
 
 __version__ = "1.0.0rc1"

@@ -18,22 +18,22 @@ class Afferent(IntEnum):
 
 
 CLASS_COLORS = {Afferent.RA: "#d55e00", Afferent.SAI: "#0072b2", Afferent.PC: "#009e73"}
-"""Color of each class in pictures, from Okabe and Ito's set for color-blind readers (2008)."""
+"""Color of each class in pictures, from Okabe and Ito's palette for color-blind readers (2008)."""
 
 
 class Mode(StrEnum):
-    """Mode: the afferent classes to stimulate, and the input of each."""
+    """Mode of a run: which afferent classes it stimulates, and by which input."""
 
     RA = "RA"
-    """Ink stimulates RA."""
+    """Ink in the image stimulates RA."""
     SAI = "SAI"
-    """Ink stimulates SAI."""
+    """Ink in the image stimulates SAI."""
     PC = "PC"
-    """Ink stimulates PC, and shallower classes with it: PC cannot be stimulated alone."""
+    """Ink in the image stimulates PC, and inevitably also the shallower classes RA and SAI."""
     NATURAL = "natural"
     """Moving edges stimulate RA, and constant ink stimulates SAI."""
     COLOR = "color"
-    """Stimuli contain the activation of each class; for sources without images."""
+    """The source gives the activation of each class itself; for sources without images."""
 
     @property
     def afferents(self) -> tuple[Afferent, ...]:

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Protocol
 
 LATE_NS = 100_000_000
-"""Delay after which a sequence is not sent, and the ramp restarts at zero."""
+"""Delay beyond which a sequence is dropped and the ramp restarts at zero."""
 
 _CLOCK: int | None = getattr(time, "CLOCK_BOOTTIME", getattr(time, "CLOCK_MONOTONIC", None))
 """Clock that continues while the machine is suspended, if the system has one."""
@@ -16,11 +16,11 @@ _CLOCK: int | None = getattr(time, "CLOCK_BOOTTIME", getattr(time, "CLOCK_MONOTO
 now_ns: Callable[[], int] = (
     time.monotonic_ns if _CLOCK is None else partial(time.clock_gettime_ns, _CLOCK)
 )
-"""Returns nanoseconds since the machine started, including suspended time."""
+"""Returns nanoseconds since the machine started, including the time it was suspended."""
 
 
 class Clock(Protocol):
-    """Interface of a loop's clock."""
+    """Interface of the clock that paces a run."""
 
     def now_ns(self) -> int: ...
 
@@ -30,8 +30,8 @@ class Clock(Protocol):
 class MonotonicClock:
     """The machine's clock, for threads that wait for deadlines.
 
-    It is monotonic, and continues while the machine is suspended, so that overdue sequences are
-    late afterwards.
+    It is monotonic and continues while the machine is suspended, so that sequences that became due
+    during the suspension count as late.
     """
 
     now_ns = staticmethod(now_ns)
@@ -42,7 +42,7 @@ class MonotonicClock:
 
 
 class SimulatedClock:
-    """Simulated time that advances only by waiting, so that runs are as fast as possible."""
+    """Clock that `wait_until` advances without waiting, so that runs are as fast as possible."""
 
     def __init__(self) -> None:
         self._now_ns = 0

@@ -16,7 +16,7 @@ class SmartTouchError(Exception):
     message : str
         What is wrong, with the value, and what to do.
     slot, electrode : int or None
-        Place of the problem, if any.
+        Slot and electrode that the problem concerns, if any.
     """
 
     def __init__(
@@ -33,9 +33,9 @@ class TableError(SmartTouchError):
     Attributes
     ----------
     key : str
-        First wrong key; "" if the complete file is wrong.
+        Key of the first wrong value; "" if the error concerns the whole file.
     complaints : tuple of tuple
-        Key and sentence of each wrong value.
+        For each wrong value, its key and a sentence that says what is wrong.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class SourceError(SmartTouchError):
 
 
 class SourceLostError(SourceError):
-    """A source was lost; it may come back."""
+    """The connection to a source was lost. It may return, for example when replugged."""
 
 
 class PageError(SmartTouchError):
@@ -72,7 +72,7 @@ class BrailleError(SmartTouchError):
 
 
 class ReadingError(SmartTouchError):
-    """A text cannot be presented to a fingertip, or not be recognized."""
+    """A text cannot be presented to a fingertip, or text in an image cannot be recognized."""
 
 
 class ExperimentError(SmartTouchError):
@@ -80,7 +80,7 @@ class ExperimentError(SmartTouchError):
 
 
 class LevelNotReachedError(SmartTouchError):
-    """The ramp did not reach an intensity, or intensity was lost while a pattern was shown."""
+    """The ramp did not reach the requested intensity, or intensity fell during a pattern."""
 
 
 class CalibrationError(SmartTouchError):
@@ -88,7 +88,7 @@ class CalibrationError(SmartTouchError):
 
 
 class DesignError(SmartTouchError):
-    """No kernel exists for this request."""
+    """The requested kernel or fiber model does not exist or cannot be designed."""
 
 
 class ScheduleError(SmartTouchError):
@@ -103,7 +103,7 @@ class SafetyError(SmartTouchError):
     limit : str
         Name of the limit.
     value, allowed : float
-        Requested and allowed value, in the unit of the limit; NaN if there are none.
+        Requested and allowed value, in the unit of the limit; NaN if the limit has no numbers.
     """
 
     def __init__(
@@ -135,11 +135,11 @@ class SilentBoardError(BoardError):
 
 
 class OtherDeviceError(BoardError):
-    """Another device is at the port of a board; only a query was sent to it."""
+    """The device at a port is not the expected board; at most a query was sent to it."""
 
 
 class BoardRestartedError(BoardError):
-    """A board was lost and is back, at zero: start again at intensity 0."""
+    """A board was lost and has reconnected, without current: start again at intensity 0."""
 
 
 class SequenceLateError(BoardRestartedError):
@@ -147,8 +147,8 @@ class SequenceLateError(BoardRestartedError):
 
 
 class BoardFaultError(BoardError):
-    """A board delivered current that was not requested, or its reports are contradictory. It is
-    latched."""
+    """A board delivered current that was not requested, or its reports are contradictory. A fault
+    latch keeps the board closed until a person clears the fault."""
 
 
 class EmergencyStopError(BoardError):
@@ -181,9 +181,9 @@ def require_within(
     *,
     above: bool = False,
 ) -> None:
-    """Raise an error unless a number is within a range; NaN never is.
+    """Raise an error unless a number is within a range. NaN is outside every range.
 
-    ``words`` is the number with name and unit, for the message. ``above`` excludes ``least``.
+    In the message, ``words`` replaces name and number. With ``above``, ``least`` is not allowed.
     """
     if least <= value <= most and not (above and value == least):
         return
@@ -199,7 +199,7 @@ def choice_of(
     choices: Iterable[_Choice],
     error: type[SmartTouchError] = SmartTouchError,
 ) -> _Choice:
-    """Return the choice named by a text, ignoring case."""
+    """Return the choice that equals a text, ignoring case; raise ``error`` if there is none."""
     known = list(choices)
     for known_name in known:
         if text.lower() == known_name.lower():
@@ -208,7 +208,7 @@ def choice_of(
 
 
 def kind_in_words(value: object) -> str:
-    """Describe a value: "a list", "an array of float32 (8, 8)"."""
+    """Return the type of a value in words: "a list", "an array of float32 (8, 8)"."""
     if hasattr(value, "dtype") and hasattr(value, "shape"):
         return f"an array of {value.dtype} {value.shape}"
     name = type(value).__name__
@@ -218,7 +218,7 @@ def kind_in_words(value: object) -> str:
 def import_extra(
     module: str, what: str, extra: str, error: type[SmartTouchError] = SmartTouchError
 ) -> Any:
-    """Import a module of an extra. If it is missing, raise an error that names the extra."""
+    """Import a module that an extra installs; if it is missing, raise an error with the command."""
     try:
         return import_module(module)
     except ImportError:

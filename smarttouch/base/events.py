@@ -1,6 +1,6 @@
-"""Typed events of a run, with time and text.
+"""Events of a run: one class for each kind, with time and text.
 
-Recordings store the text; programs should use the types.
+Recordings store the text. Programs should distinguish events by class.
 """
 
 from collections.abc import Callable
@@ -12,13 +12,13 @@ from smarttouch.base.afferent import Mode
 
 @dataclass(frozen=True)
 class Event:
-    """Event of a run, ``time_ns`` after its start."""
+    """Event that happened ``time_ns`` after the start of a run."""
 
     time_ns: int
     reveals: ClassVar[bool] = False
-    """Whether it would reveal an answer to the participant of an experiment."""
+    """Whether the text reveals the right answer of a trial; participants must not see it then."""
     words: ClassVar[str] = ""
-    """Text of the event, with fields in braces."""
+    """Format string of the text; names in braces are attributes of the event."""
 
     def __str__(self) -> str:
         return self.words.format(**vars(self)) or type(self).__name__
@@ -39,7 +39,7 @@ class Advice(Note):
 
 @dataclass(frozen=True)
 class Marked(Event):
-    """The user marked this instant with some words."""
+    """The user marked this moment with a text."""
 
     text: str
     words: ClassVar[str] = "mark: {text}"
@@ -47,7 +47,7 @@ class Marked(Event):
 
 @dataclass(frozen=True)
 class IntensityChanged(Event):
-    """The user set another intensity, in [0, 1]."""
+    """The user changed the intensity; ``level`` is the new one, in [0, 1]."""
 
     level: float
     words: ClassVar[str] = "intensity {level:.2f}"
@@ -64,7 +64,7 @@ class Paused(Event):
 class Resumed(Event):
     """The user ended a pause."""
 
-    words: ClassVar[str] = "goes on"
+    words: ClassVar[str] = "resumed"
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class ModeChanged(Event):
 class InputLost(Event):
     """The image is stale or the force unknown, so no current flows."""
 
-    image: bool  # whether the image is stale, not the force unknown
+    image: bool  # True if the image is stale, False if the force is unknown
 
     def __str__(self) -> str:
         what = "the image is stale" if self.image else "the force is not known"
@@ -90,7 +90,7 @@ class InputLost(Event):
 class InputRestored(Event):
     """Image and force are known again."""
 
-    words: ClassVar[str] = "image and force are known"
+    words: ClassVar[str] = "image and force are known again"
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Reading of users' files up to a size limit, writing of private files, and data of the package."""
+"""Functions that read files up to a size limit, write private files, and find shipped data."""
 
 import contextlib
 import csv
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_TABLE_BYTES = 16_000_000
-"""Largest CSV or JSON file: a day of numbers at 100 Hz is smaller."""
+"""Size limit of CSV and JSON files."""
 MOST_TOML_BYTES = 1_000_000
-"""Largest TOML file: ten times the size of a profile of 1000 electrodes. Parsing takes seconds per
-megabyte."""
-MOST_ARRAY_BYTES = 256_000_000  # largest total size of the arrays in a file
+"""Size limit of TOML files, because parsing takes seconds per megabyte. A profile of 1000
+electrodes needs a tenth of it."""
+MOST_ARRAY_BYTES = 256_000_000  # size limit of files with NumPy arrays
 MOST_BANK_BYTES = 700_000_000
-"""Largest total size of the arrays in a kernel bank: that of 4,096 electrodes has 605 MB, nearly
-all zero."""
-MOST_DOCUMENT_BYTES = 2_000_000_000  # largest image, PDF or video
+"""Size limit of kernel banks and recorded device lines. Uncompressed, a bank of 4,096 electrodes
+has 605 MB, nearly all zeros."""
+MOST_DOCUMENT_BYTES = 2_000_000_000  # size limit of images, PDFs and videos
 
 
 def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> None:
@@ -52,7 +52,7 @@ def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> N
         raise error(f"{path} is a {kind}: give a file")
     if status.st_size > most_bytes:
         size_mb, most_mb = status.st_size / 1e6, most_bytes / 1e6
-        message = f"{path} has {size_mb:,.1f} MB, above the limit of {most_mb:,.0f} MB"
+        message = f"{path} has {size_mb:,.1f} MB: give a file of at most {most_mb:,.0f} MB"
         raise error(message)
 
 
@@ -65,7 +65,7 @@ def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
 def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> BinaryIO:
     """Open a regular file for reading, see `require_file`.
 
-    Devices and pipes are not opened: that may block, or reset a board.
+    Devices and pipes are refused: opening a pipe can block, and opening a port can reset a board.
     """
     require_file(path, error, most_bytes)
     try:
@@ -108,7 +108,8 @@ _FILE_NAME = re.compile(
 
 
 def named_file(name: str, error: type[SmartTouchError]) -> Path | None:
-    """Return the file with a name, or None if the name is text. A missing file is an error."""
+    """Return the file with this name. If there is none, raise an error if the name looks like that
+    of a file, and return None if it looks like text."""
     there = file_at(name)
     if there is None and (words := _FILE_NAME.fullmatch(name)):
         file = name.removesuffix(words["options"] or "")
@@ -135,7 +136,7 @@ def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
 
 
 def owner_only(path: str, flags: int) -> int:
-    """Opener for `open` that makes new files readable only by their owner."""
+    """Open a file, as ``opener`` of `open`; if it is new, only its owner can read it."""
     return os.open(path, flags | O_NOCTTY | O_BINARY, 0o600)
 
 
@@ -152,18 +153,18 @@ def make_folder(path: Path) -> None:
 def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTouchError) -> None:
     """Write a file atomically: it is complete on disk before it replaces an earlier one.
 
-    Also writes to devices and pipes.
+    Devices and pipes are written directly.
     """
     try:
-        # /dev/stdout may be a file to which other programs write, too.
+        # Append to /dev/stdout: it may be a file to which other programs write as well.
         if path.exists() and (not path.is_file() or path.parent == Path("/dev")):
-            # Do not use Path.open: a terminal must not become the controlling one.
+            # `owner_only` sets O_NOCTTY: a terminal must not become the controlling terminal.
             with open(path, "ab", opener=owner_only) as file:
                 file.write(data)
         else:
             replace_file(Path(os.path.realpath(path)), data)
     except ValueError:
-        raise error(f"cannot write {path}: a file cannot have this name") from None
+        raise error(f"cannot write {path}: give a valid file name") from None
     except OSError as failure:
         raise unwritable(error, path, failure) from None
 
@@ -183,10 +184,10 @@ def replace_file(path: Path, data: bytes) -> None:
 
 
 def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
-    """Open a file for reading and writing, created if missing, with a lock.
+    """Open a file for reading and writing with an exclusive lock; create it if it is missing.
 
-    Only its owner may read it from then on. Other programs get an error until this one closes the
-    file or ends. On file systems without locks there is no protection.
+    Only its owner may read it afterwards. Until the file is closed or this program ends, other
+    programs that call this function get an error. File systems without locks give no protection.
     """
     while True:
         try:
@@ -194,7 +195,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
             file = os.fdopen(owner_only(os.fspath(path), flags), "r+b")
             status = os.fstat(file.fileno())
             if user_number() is not None and status.st_mode & 0o077:
-                # Ignore file systems without permissions, but do not write to another user's file.
+                # Fail if the file is another user's, but not on file systems without permissions.
                 with contextlib.suppress(*[OSError] * (status.st_uid == user_number())):
                     os.fchmod(file.fileno(), 0o600)
         except OSError as failure:
@@ -204,7 +205,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
             raise error(
                 f"{path} is in use by another run: wait until that has ended, or give another file"
             )
-        # If the file was removed meanwhile, the lock is useless: try again.
+        # If another program removed the file before the lock, the lock is useless: try again.
         if path.exists() and os.path.samestat(path.stat(), os.fstat(file.fileno())):
             return file
         file.close()
@@ -221,7 +222,7 @@ def unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> Sm
 
 
 def require_folder(path: Path | None) -> None:
-    """Raise SmartTouchError if the folder of an output file does not exist."""
+    """Raise SmartTouchError if an output path is a folder, or if its folder does not exist."""
     if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
         message = f"cannot write {path}: give a file in a folder that exists"
         raise SmartTouchError(message)
@@ -229,7 +230,7 @@ def require_folder(path: Path | None) -> None:
 
 def write_json(path: Path, figures: Any) -> None:
     """Write values as JSON; NaN and infinite numbers become null."""
-    from pydantic_core import to_json  # help and short commands need none
+    from pydantic_core import to_json  # here, so that --help and short commands start faster
 
     write_bytes(path, to_json(figures, indent=2, inf_nan_mode="null") + b"\n")
 
@@ -254,12 +255,11 @@ def read_csv(
     *,
     rising: bool = True,
 ) -> "dict[str, NDArray[np.float64]]":
-    """Read columns of numbers from a CSV file: all ``needed`` ones, and the ``optional`` ones that
-    exist.
+    """Read the ``needed`` columns of a CSV file and its ``optional`` ones, if any, as numbers.
 
     With ``rising``, the first column must increase. Raises ``error``.
     """
-    import numpy as np  # help and short commands need none
+    import numpy as np  # here, so that --help and short commands start faster
 
     try:
         reader = csv.reader(io.StringIO(read_text(path, error), newline=""))
@@ -270,7 +270,7 @@ def read_csv(
     names = [*needed, *(name for name in optional if name in head)]
     if not set(needed) <= set(head):
         raise error(
-            f"{path} has the columns {', '.join(head) or 'none'}: its first line must name "
+            f"{path} has the columns {', '.join(head) or '(none)'}: its first line must name "
             f"{', '.join(needed)}"
         )
     rows: list[list[float]] = []
@@ -290,9 +290,9 @@ def read_csv(
 
 
 def _numbers(head: list[str], cells: list[str], names: list[str]) -> list[float]:
-    # A decimal comma gives one cell too many, and shifts the others.
+    # A decimal comma splits a number into two cells and shifts all later cells.
     if any(map(str.strip, cells[len(head) :])):
-        raise ValueError(f"{len(cells)} cells, but the heading has {len(head)}")
+        raise ValueError(f"{len(cells)} cells, but the heading has {len(head)}: write 7.5, not 7,5")
     row = dict(zip(head, cells, strict=False))
     for name in names:
         if math.isnan(finite(row.get(name, ""))):

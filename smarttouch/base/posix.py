@@ -1,7 +1,7 @@
 """Features of POSIX: modules, flags of `os.open`, file locks, users and real-time priority.
 
-On other systems modules are None, flags are 0, and functions do nothing, so that everything works
-except terminals and the watchdog process.
+On other systems these modules are None, the flags are 0, and the functions do nothing. Everything
+then works except terminals and the watchdog process.
 """
 
 import ctypes
@@ -53,13 +53,13 @@ def try_lock(number: int, shared: bool = False) -> bool:
 
 
 def user_number() -> int | None:
-    """Return the user's number; None on systems without it."""
+    """Return the effective user ID; None on systems without user IDs."""
     return os.geteuid() if hasattr(os, "geteuid") else None
 
 
 if HAS_POSIX:
-    # The system's write, without releasing the interpreter lock, so that no other thread delays it.
-    # It returns the number of bytes written, or -1.
+    # write(2), called without releasing the interpreter lock, so that no other thread delays it. It
+    # returns the number of bytes written, or -1.
     write_now = ctypes.PyDLL(None, use_errno=True).write
     write_now.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
     write_now.restype = ctypes.c_ssize_t
@@ -85,9 +85,9 @@ def priority_advice() -> str:
 
 @contextmanager
 def prioritized() -> Iterator[bool]:
-    """Give this thread real-time priority during the block; yield whether that is allowed.
+    """Run the block with real-time priority if the system allows it; yield whether it does.
 
-    New threads and processes have normal priority.
+    Threads and processes that the block starts have normal priority.
     """
     if _FIFO is None:
         yield False
@@ -101,5 +101,5 @@ def prioritized() -> Iterator[bool]:
     try:
         yield True
     finally:
-        # Only root may clear this flag, so it stays set.
+        # Keep SCHED_RESET_ON_FORK set: only root may clear it.
         os.sched_setscheduler(0, before[0] | _RESET, before[1])

@@ -1,4 +1,4 @@
-"""Requests to end a run, by a signal, a key or another thread; base class of what can be closed."""
+"""Requests to end a run, from a signal, a key or another thread; a base class for closing."""
 
 import contextlib
 import signal
@@ -16,7 +16,7 @@ if hasattr(signal, "SIGHUP"):  # not on Windows
 
 
 class RunStopped(SystemExit):
-    """A signal, or a stop like a signal, ends the program with status 128 plus its number."""
+    """Exit of the program by a signal or a stop request, with status 128 plus the signal number."""
 
     def __init__(self, number: int, by: str | None = None) -> None:
         super().__init__(by or SIGNALS[signal.Signals(number)])
@@ -26,7 +26,7 @@ class RunStopped(SystemExit):
 
 @dataclass
 class StopRequest:
-    """Request to end a run, from any thread, but not from a signal handler."""
+    """Request to end a run. Any thread can make it, but a signal handler must not."""
 
     event: threading.Event = field(default_factory=threading.Event)
     reason: str = ""
@@ -34,28 +34,28 @@ class StopRequest:
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def ask(self, reason: str, *, at_once: bool = True) -> None:
-        """Request the end of the run. With ``at_once``, boards are at zero before this returns."""
+        """Request the end of the run. With ``at_once``, boards are at zero when this returns."""
         with self._lock:
             # Keep the first reason, also after a second Ctrl-C.
             self.reason = self.reason or reason
-            # Under the lock, so that a function added meanwhile is called or sees the event.
+            # Under the lock: a function added now is either copied, or `on_stop` sees the event.
             self.event.set()
             calls = self._on_stop.copy() if at_once else []
         with contextlib.ExitStack() as stack:
-            # Call all functions even if one raises. A lost board is reported when it is closed.
+            # Call all functions even if one raises. Closing a lost board reports its error.
             for call in reversed(calls):
                 stack.enter_context(contextlib.suppress(SmartTouchError))
                 stack.callback(call)
 
     def always_on_stop(self, tell: Callable[[], None]) -> None:
-        """Call a function when the end is requested, before functions added earlier: a run must end
-        before its board refuses sequences."""
+        """Call a function when the end is requested. Functions added later are called first: a run
+        must end before its board refuses sequences."""
         with self._lock:
             self._on_stop.insert(0, tell)
 
     @contextmanager
     def on_stop(self, tell: Callable[[], None]) -> Iterator[None]:
-        """Call a function when the end is requested during the block, or at once if it was
+        """Call a function when the end is requested during the block, or now if it was requested
         before."""
         self.always_on_stop(tell)
         try:
@@ -67,14 +67,14 @@ class StopRequest:
                 self._on_stop.remove(tell)
 
 
-_writes = 0  # number of `uninterrupted` blocks entered by the main thread
+_writes = 0  # number of `uninterrupted` blocks that the main thread is in
 _pending: BaseException | None = None
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Delay exceptions from signal handlers to the end of the block, for example of a write to a
-    board."""
+    """Delay exceptions of signal handlers until the block ends, so that for example a write to a
+    board is complete."""
     global _writes, _pending
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -90,7 +90,7 @@ def uninterrupted() -> Iterator[None]:
 
 
 def interrupt(error: BaseException) -> None:
-    """Raise an error in the main thread, from a signal handler, but not within `uninterrupted`."""
+    """Raise an error from a signal handler; within `uninterrupted`, when that block ends."""
     global _pending
     if not _writes:
         raise error

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 def one_line(record: Any) -> str:
-    """Return the repr of a dataclass in one line: arrays by type and shape, long values by type."""
+    """Return a one-line repr of a dataclass: arrays by type and shape, long values by type."""
     shown = [f"{field.name}={_brief(getattr(record, field.name))}" for field in fields(record)]
     return f"{type(record).__name__}({', '.join(shown)})"
 
@@ -29,8 +29,8 @@ def _brief(value: Any) -> str:
 class Pose:
     """Position of the sensor's center on the page.
 
-    ``x_mm`` counts right and ``y_mm`` down from the top left corner of the page; ``angle_rad``
-    rotates the sensor clockwise on the page.
+    ``x_mm`` is measured to the right and ``y_mm`` down from the top left corner of the page;
+    ``angle_rad`` rotates the sensor clockwise on the page.
     """
 
     x_mm: float
@@ -47,20 +47,20 @@ class Frame:
     image : ndarray, (H, W) uint8
         Gray levels; 255 is white.
     time_ns : int
-        Time of the read, since the start of the run.
+        Time at which the image was read, since the start of the run.
     pose : Pose
         Pose of the sensor.
     force_n : float, N
         Force of the finger; NaN if unknown.
     number : int
-        Number of the image at its source, from 0; equal numbers mean the same image.
+        Number of the image at its source, from 0; frames with equal numbers show the same image.
     age_ns : int
         Age of the image when it was read.
     stale : bool
         Whether the image may be outdated, because the source delivers no new one.
     period_us : int, µs, optional
-        Time to the next read, in which each active class pulses once. None means that classes pulse
-        at the profile's rates.
+        Time to the next read, in which each active class gets one pulse. None means that classes
+        get pulses at the profile's rates.
     """
 
     __repr__ = one_line
@@ -88,8 +88,8 @@ class TactileImage:
     force_n : float, N
         Finger force at that time.
     period_us : int, µs, optional
-        Time to the next image, in which each active class pulses once. None means that classes
-        pulse at the profile's rates.
+        Time to the next image, in which each active class gets one pulse. None means that classes
+        get pulses at the profile's rates.
     level : float, in [0, 1]
         Factor that multiplies the user's intensity.
     """

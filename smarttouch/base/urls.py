@@ -14,10 +14,10 @@ from smarttouch.base.files import file_at
 
 
 class Registry:
-    """Openers of one kind of device by name: built-in ones, and entry points of other packages.
+    """Functions that open one kind of device, by name: built-in ones and those of other packages.
 
-    ``built_in`` maps names to ``module:opener``; other packages cannot use these names. Openers
-    must return an object of class ``kind``. Problems raise ``error``.
+    ``built_in`` maps names to ``module:opener``. Other packages add other names, as entry points
+    of ``group``. Openers must return an object of class ``kind``. Problems raise ``error``.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Registry:
         """Raise an error unless an opener returned an object of the right class."""
         if not isinstance(opened, self._kind):
             raise self._error(
-                f"{url} gives {kind_in_words(opened)}: its package must give a "
+                f"{url} opened {kind_in_words(opened)}: its package must return a "
                 f"{self._kind.__name__}"
             )
 
@@ -78,7 +78,7 @@ def unknown(
     if close:
         way = f"did you mean {close[0]}:{url[len(name) + len(colon) :]}"
     elif kind == "board" and url.startswith("/"):
-        way = f"a port does not show which board it has: write its kind first, as in link:{url}"
+        way = f"a port does not show its kind of board: write the kind first, as in link:{url}"
     else:
         way = "it must begin with one of " + ", ".join(f"{known_name}:" for known_name in known)
     return error(f"unknown {kind} {url!r}: {way}")
@@ -87,33 +87,31 @@ def unknown(
 def refuse_rest(url: str, rest: str, error: type[SmartTouchError]) -> None:
     """Raise an error if there is text after the colon of a URL that takes none."""
     if rest:
-        raise error(f"{url} takes nothing after the colon, not {rest!r}")
+        raise error(f"{url} takes nothing after the colon: leave out {rest!r}")
 
 
 def read_options(
     opener: Callable[..., Any], rest: str, error: type[SmartTouchError],
     but: Collection[str] = (), **more: type,
 ) -> tuple[str, dict[str, Any]]:  # fmt: skip
-    """Split the rest of a URL into its address and its options, with types from the annotations of
-    the opener, and ``more`` options with their types.
+    """Split the part of a URL after its name into an address and options: parameters of ``opener``
+    with a default, and those in ``more``, with their types.
 
-    There are no options if a file has the complete name, if the text does not look like options
-    (``text:Is it so?``), or if the opener takes none. Options in ``but`` are not allowed in URLs.
+    There are no options if the whole text names a file, if the part after ``?`` does not look like
+    options (``text:Is it so?``), or if the opener has none. URLs cannot set the options in ``but``.
     """
     address, mark, query = rest.rpartition("?")
     known = options_of(opener, but) | more
     parts = [part.partition("=")[::2] for part in query.split("&")]
     if not (mark and known) or not all(_NAME.fullmatch(name) for name, _ in parts):
         return rest, {}
-    # Flags without a value must be known, or "text:Why?because" had one.
+    # A name without a value is an option only if it is known: "text:Why?because" has none.
     if not all(name in known or f"{name}=" in query for name, _ in parts) or file_at(rest):
         return rest, {}
     values: dict[str, Any] = {}
     for name, text in parts:
         if name not in known:
-            raise error(
-                f"{rest!r} has no option {name}: choose {', '.join(sorted(known))}, or leave it out"
-            )
+            raise error(f"{rest!r} has an unknown option {name}: use {', '.join(sorted(known))}")
         kind = known[name]
         value = _read_option(name, unquote(text), kind, error)
         if kind is Sequence:
@@ -133,9 +131,9 @@ def all_options(
     error: type[SmartTouchError],
     but: Collection[str] = (),
 ) -> tuple[str, dict[str, Any]]:
-    """Like `read_options`, with additional options, of which None means the default.
+    """Split a URL as `read_options` does, and add the options in ``beside`` that are not None.
 
-    Raises ``error`` for an unknown option, or for one that is also in the URL.
+    Raises ``error`` if one of these is unknown or also in the URL.
     """
     options = {name: value for name, value in beside.items() if value is not None}
     parameters = inspect.signature(opener).parameters.values()
@@ -146,7 +144,7 @@ def all_options(
             raise error(f"{kind}: does not take {name}: leave it out (it takes {takes})")
     address, in_url = read_options(opener, rest, error, but)
     if twice := sorted(options.keys() & in_url.keys()):
-        raise error(f"{twice[0]} is given in {url!r} and beside it: leave one out")
+        raise error(f"{twice[0]} is given in {url!r} and as an argument: leave one out")
     return address, options | in_url
 
 

@@ -1,4 +1,4 @@
-"""Packets on a byte stream: COBS between zeros, with a CRC, for boards and sensors."""
+"""Packets on a byte stream, for boards and sensors: COBS-encoded between zeros, with a CRC."""
 
 import struct
 import zlib
@@ -22,11 +22,11 @@ class WirePacket:
 
 
 def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes:
-    """Encode a packet; its payload may be in pieces.
+    """Encode a packet; its payload can consist of several pieces.
 
     A packet is COBS-encoded and ends with one 0x00, so that receivers resynchronize at the next
-    zero. Decoded, little endian: u8 version, u8 kind, u32 number, payload, u32 CRC-32 of everything
-    before.
+    zero. Decoded, it is little endian: u8 version, u8 kind, u32 number, payload, u32 CRC-32 of all
+    bytes before the CRC.
     """
     head = HEAD.pack(version, kind, number)
     crc = zlib.crc32(head)
@@ -36,23 +36,23 @@ def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes
 
 
 class Deframer:
-    """Parser of packets in a stream of bytes; packets longer than ``largest`` are skipped."""
+    """Parser of packets in a stream of bytes. It skips packets longer than ``largest`` bytes."""
 
     def __init__(self, largest: int = LARGEST_PACKET) -> None:
-        self.errors: int = 0  # number of invalid pieces between zeros
+        self.errors: int = 0  # number of invalid packets
         self._largest, self._most = largest, largest * 1.01 + 64
         self.waiting: bytearray = bytearray()  # the incomplete packet
         self._skipping = False
 
     def head(self, count: int) -> bytes | None:
-        """Return the first ``count`` bytes of the incomplete packet, decoded but unchecked, or None
-        if there are fewer."""
+        """Return the first ``count`` bytes of the incomplete packet, decoded but without a check of
+        the CRC; None if there are fewer."""
         data, at = bytearray(self.waiting[: count + 2]), 0
         if not data:
             return None
         while at + data[at] < len(data):
             at += data[at]
-        # The last block may be incomplete; a complete one is followed by a zero.
+        # The last COBS block may be incomplete; a complete block stands for a zero at its end.
         zero = b"\0" if at + data[at] == len(data) and data[at] < 0xFF else b""
         data[at] = len(data) - at
         decoded = bytes(cobs.decode(bytes(data))) + zero

@@ -1,4 +1,4 @@
-"""Serial ports and TCP connections by name, with error messages that tell what to do."""
+"""Serial ports and TCP connections by name, with error messages that say what to do."""
 
 import contextlib
 import ctypes
@@ -31,7 +31,7 @@ _PSEUDO = ("/dev/pts/", "/dev/ttys")  # names of pseudo-terminals on Linux and m
 LINE_ERRORS = (
     OSError, serial.SerialException, termios.error if termios else OSError, TypeError
 )  # fmt: skip
-"""Exceptions of pyserial when a port disappears, or another thread closes it."""
+"""Exceptions that pyserial raises when a port disappears or another thread closes it."""
 
 
 def open_port(
@@ -59,10 +59,10 @@ def open_port(
         port.dtr = port.rts = False
         port.open()
         if HAS_POSIX and _is_device(port):
-            # Also exclude programs that do not ask for a lock, except those of root.
+            # Also exclude programs that ignore the lock of pyserial, except those of root.
             fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
         if url.startswith("socket://"):
-            # Do not delay short commands until earlier ones are acknowledged.
+            # Otherwise short commands would wait until the peer acknowledges earlier ones.
             port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except (*LINE_ERRORS, ValueError, AttributeError) as failure:
         raise error(f"cannot open {name}: {_advice(failure)}") from None
@@ -70,7 +70,7 @@ def open_port(
 
 
 def _is_device(port: Port) -> bool:
-    """Return whether a port is a device, not a pseudo-terminal, which would stay exclusive."""
+    """Return whether a port is a device. Pseudo-terminals are not; they would stay exclusive."""
     try:
         return not os.ttyname(port.fileno()).startswith(_PSEUDO)
     except (OSError, AttributeError):
@@ -79,7 +79,7 @@ def _is_device(port: Port) -> bool:
 
 @dataclass(frozen=True)
 class UsbIdentity:
-    """USB identity of a device, and its port."""
+    """USB identity of the device at a port, and the USB interface of the port."""
 
     vendor: int
     product: int
@@ -88,7 +88,7 @@ class UsbIdentity:
 
 
 def identity_of(port: Port) -> UsbIdentity | None:
-    """Return the USB identity of an open port; None without USB or without a serial number."""
+    """Return the USB identity of an open port; None if it has no USB serial number."""
     if not isinstance(port, serial.Serial):
         return None
     try:
@@ -98,7 +98,7 @@ def identity_of(port: Port) -> UsbIdentity | None:
 
 
 def device_of(name: str) -> str:
-    """Return the USB serial number of the device at a port, or else the name of the port."""
+    """Return USB IDs and serial number of the device at a port, or the port's name without them."""
     with contextlib.suppress(*LINE_ERRORS):
         if usb := _usb_identity(name):
             return f"USB {usb.vendor:04x}:{usb.product:04x} {usb.serial_number}"
@@ -121,14 +121,14 @@ def reopen_port(
     pause: Callable[[float], None] = time.sleep,
     baudrate: int = 921600,
 ) -> Port:
-    """Wait until a lost port is back with the same identity, and open it, without writing. Raises
-    OtherDeviceError if another device is there. ``pause`` waits some seconds; its exceptions end
-    the wait."""
+    """Wait up to ``within_s`` until a lost port is back with the same USB identity, and open it
+    without writing. Raises OtherDeviceError if another device is there. ``pause`` sleeps for some
+    seconds between tries; its exceptions end the wait."""
     deadline = time.monotonic() + within_s
     while True:
         try:
-            # Check by name before opening, which may reset another device; then check the open
-            # port.
+            # Opening could reset another device, so check the name first. Then check the open port,
+            # which another device may have taken in between.
             if Path(name).exists() and _usb_identity(name) != identity:
                 raise _other(name)
             port = open_port(name, baudrate)
@@ -143,7 +143,7 @@ def reopen_port(
 
 
 def _descriptor(port: Port) -> int | None:
-    """Return the descriptor of a port; None on Windows, and for URLs of pyserial."""
+    """Return the file descriptor of a port; None on Windows, and for URLs of pyserial."""
     try:
         return int(port.fileno()) if HAS_POSIX else None
     except (AttributeError, OSError):
@@ -151,8 +151,8 @@ def _descriptor(port: Port) -> int | None:
 
 
 def read_some(port: Port) -> bytes | None:
-    """Return the received bytes; wait for the first one up to the port's timeout. None if another
-    program has read them."""
+    """Return the received bytes; wait for the first byte up to the port's timeout. Return None if
+    another program has read the bytes."""
     if (number := _descriptor(port)) is None:
         return bytes(port.read(port.in_waiting or 1))
     if not select.select([number], [], [], port.timeout)[0]:
@@ -161,7 +161,7 @@ def read_some(port: Port) -> bytes | None:
         if data := os.read(number, _MOST_AT_ONCE):
             return data
         if not isinstance(port, serial.Serial) or _is_hung_up(number):
-            raise serial.SerialException("it is gone")
+            raise serial.SerialException("it was disconnected")
     return None
 
 
@@ -174,9 +174,9 @@ def _is_hung_up(number: int) -> bool:
 def write_before(
     port: Port, data: bytes, latest_ns: int, now_ns: Callable[[], int], within_s: float = 0.5
 ) -> bool:
-    """Write bytes unless it is later than ``latest_ns``; return whether they were written. Nothing
-    runs between the last check of the clock and the write, so only a process suspended just there
-    writes late. Raises an error if the line accepts no bytes for ``within_s``."""
+    """Write bytes unless it is later than ``latest_ns``; return whether they were written.
+    The write follows the check of the clock directly, so bytes are late only if the system suspends
+    the process in between. Raises an error if the port accepts no bytes for ``within_s``."""
     number, sent = _descriptor(port), 0
     if number is not None and os.get_blocking(number):
         os.set_blocking(number, False)
@@ -190,7 +190,7 @@ def write_before(
         if (failure := ctypes.get_errno()) not in (errno.EAGAIN, errno.EINTR):
             raise OSError(failure, os.strerror(failure))
         if not select.select([], [number], [], within_s)[1]:
-            raise serial.SerialTimeoutException("it takes no bytes")
+            raise serial.SerialTimeoutException("it accepts no bytes")
     if sent < len(data):
         port.write(data[sent:])
     return True
@@ -201,7 +201,7 @@ def _other(name: str) -> OtherDeviceError:
 
 
 def reason(error: Exception) -> str:
-    """Return the reason for an error of a port, as text."""
+    """Return the cause of a port's error, as text."""
     if "multiple access" in str(error):
         return "it is disconnected, or another program reads from it: close that program"
     number = getattr(error, "errno", None)
@@ -215,12 +215,12 @@ def _advice(error: Exception) -> str:
     if "ioctl" in text:
         return "it is not a serial port: check the name"
     if "refused" in text:
-        return "nothing listens there: check that it is on, its address and port"
+        return "nothing listens there: check its address and port, and that it is switched on"
     if "No such file" in text or getattr(error, "errno", None) == 2:
         return (
             "there is no such port: check the cable and the name. BRLTTY may have claimed a board "
             "with a CH340, CP210x or FTDI chip: make BRLTTY ignore it (docs/install.md)"
         )
     if "ermission" in text:
-        return "permission denied: add yourself to the group of the port (often dialout)"
+        return "permission denied: join the group of the port (often dialout), then log in again"
     return text
