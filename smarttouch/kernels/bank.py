@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from smarttouch.kernels.batch_design import Timed
     from smarttouch.kernels.design_problem import Kernel, KernelKind, Problem
 
-DESIGN_VERSION = 3  # increase it when the same problem would get other kernels
-_IN_FILE = {  # names of the columns in a file
+DESIGN_VERSION = 3  # increase it when a change of the code leads to other kernels
+_IN_FILE = {  # column: its name in files
     "weights": "weights", "off_target": "worst_other", "worst_class": "worst_class",
     "spill": "own_spill", "gap": "gap", "seconds": "seconds", "receptor": "receptor",
 }  # fmt: skip
@@ -48,30 +48,30 @@ class KernelBank:
         )
         return f"KernelBank({kinds})"
 
-    weights: Column  # (E, E) mA per V/mm²: row s is the kernel of site s, with sum 0; 0 if masked
+    weights: Column  # (E, E) mA per V/mm²: row s is the kernel of site s, sum 0; zeros if masked
     off_target: Column  # (E,) largest activation of another class, relative to the target
-    worst_class: Column  # (E,) int8, class with that activation
-    spill: Column  # (E,) largest activation of the same class beyond a pitch, over the target
+    worst_class: Column  # (E,) int8, class that has this activation
+    spill: Column  # (E,) largest activation of the class beyond a pitch, relative to the target
     gap: Column  # (E,) largest relative distance from the optimum; 0 if proven optimal
     seconds: Column  # (E,) float32, design time
-    receptor: Column  # (E, E) float32, V/mm² per mA: AF at the target of site r from electrode e
-    # Classes whose kernels drive one electrode against all others
+    receptor: Column  # (E, E) float32, V/mm² per mA: [r, e] is the AF at target r from electrode e
+    # Classes whose kernels are one electrode against all others (`single_bank`)
     discs: tuple[Afferent, ...] = ()
 
     def kernels(self, afferent: Afferent) -> NDArray[np.float32]:
-        """Return the kernels of a mode, (E, E), each scaled to a peak of 1; masked sites are zero.
+        """Return the kernels of a class, (E, E), each scaled to a peak of 1; masked sites are zero.
 
-        Raises DesignError if the board does not offer the mode.
+        Raises DesignError if the board cannot stimulate the class.
         """
-        weights = self._made(afferent)
+        weights = self._weights_of(afferent)
         peak = np.abs(weights).max(axis=1, keepdims=True)
         return np.asarray(weights / np.where(peak > 0, peak, 1.0), np.float32)
 
     def kernel(self, afferent: Afferent, site: int, kind: "KernelKind") -> "Kernel":
-        """Return one kernel. Raises DesignError if the mode is impossible or the site is masked."""
+        """Return one kernel. Raises DesignError for a masked site or a class without kernels."""
         from smarttouch.kernels.design_problem import Kernel, masked_site
 
-        weights = self._made(afferent)[site]
+        weights = self._weights_of(afferent)[site]
         if not weights.any():
             raise masked_site(site)
         return Kernel(
@@ -91,12 +91,12 @@ class KernelBank:
         width_us: NDArray[np.float32],
         current_ua: NDArray[np.int16],
     ) -> dict[int, NDArray[np.float32]]:
-        """Return the response of the receptors under all electrodes, (E,), to the delivered slots
-        of each sequence.
+        """Return the response of the receptor under each electrode, (E,), to delivered slots, by
+        sequence number.
 
-        A response is 0 at the detection threshold and 1 at the strongest comfortable pulse. The
-        strongest response of all classes and slots counts. ``numbers``, (N,), holds the sequence
-        number of each slot, in order; ``current_ua``, (N, E), is positive if cathodic.
+        A response is 0 at the detection threshold and 1 at the strongest comfortable pulse. It is
+        the largest over all classes and over the slots of a sequence. ``numbers``, (N,), holds the
+        sequence number of each slot, in order; ``current_ua``, (N, E), is positive if cathodic.
         """
         from smarttouch.physiology.finger import strength
 
@@ -108,7 +108,7 @@ class KernelBank:
         for afferent in afferents:
             receptor = self.receptor[afferent]
             full = full_ua * (receptor * self.kernels(afferent)).sum(axis=1)
-            # Masked sites have no kernel, so their response is 0.
+            # Masked sites have no kernel. Dividing by infinity sets their response to 0.
             activation.append(current @ receptor.T / np.where(full > 0, full, np.inf))
         least = profile.threshold_ma / profile.full_ma
         answers = np.clip((np.maximum.reduce(activation) - least) / (1 - least), 0, 1)
@@ -116,7 +116,7 @@ class KernelBank:
         strongest = np.maximum.reduceat(np.asarray(answers, np.float32), starts, axis=0)
         return dict(zip(numbers[starts].tolist(), strongest, strict=True))
 
-    def _made(self, afferent: Afferent) -> NDArray[np.float64]:
+    def _weights_of(self, afferent: Afferent) -> NDArray[np.float64]:
         if afferent not in self.weights:
             offered = ", ".join(
                 f"{known.name} (off-target up to {self.off_target[known].max():.2g} of the "
@@ -136,7 +136,7 @@ def _array_problem(profile: Profile) -> dict[str, Any]:
         "version": DESIGN_VERSION,
         # Leave out unset keys, so that new keys do not change the hash.
         "array": profile.array.model_dump(exclude_none=True),
-        # Version 1.0 had skin layers, and hashes include that key: keep it, empty.
+        # Version 1.0 had skin layers. Without this empty key, the hashes of all banks would change.
         "skin": profile.skin.model_dump() | {"layers": ()},
         "output": _by_sources(profile).output.model_dump(
             exclude={"masked", "wiring", "ua_per_count"}
@@ -146,7 +146,7 @@ def _array_problem(profile: Profile) -> dict[str, Any]:
 
 
 def _by_sources(profile: Profile) -> Profile:
-    """Return the profile, without impedances if each electrode has its own current source."""
+    """Return the profile. If each electrode has its own source, all impedances are set to 1 kΩ."""
     if profile.output.kind != "weighted":
         return profile
     output = profile.output.model_copy(update={"impedance_kohm": 1.0})
@@ -167,14 +167,14 @@ def problem_hash(profile: Profile) -> str:
 
 
 def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
-    """Return the bank of a profile: shipped, from the user's cache, or designed now. An interrupted
-    design resumes."""
+    """Return the bank of a profile: shipped, from the user's cache, or designed now. A design that
+    was interrupted resumes."""
     if (bank := find_bank(profile)) is not None:
         return bank
-    cached, known = _cached_bank(profile), _known(profile)
+    cached, known = _cached_bank(profile), _find_similar_bank(profile)
     if known is not None and problem_hash(known[0]) == problem_hash(profile):
         return known[1]
-    # Without a cache the next run designs the bank again.
+    # If the cache cannot be written, the next run designs the bank again.
     with contextlib.suppress(OSError):
         make_folder(cached.parent)
     bank = design_bank(profile, progress, _parts(cached, profile))
@@ -204,9 +204,9 @@ def find_bank(profile: Profile) -> KernelBank | None:
     return next((bank for bank in banks if bank is not None), None)
 
 
-def _known(profile: Profile) -> tuple[Profile, KernelBank] | None:
-    """Return a stored bank for the same array and skin, with its profile. The profile may differ in
-    masks, limits and full currents. None if no bank is stored."""
+def _find_similar_bank(profile: Profile) -> tuple[Profile, KernelBank] | None:
+    """Return a stored bank for the same array and skin, and the profile for which it was designed,
+    which can differ in masks, limits and comfort levels. Return None if there is none."""
     if profile.output.kind != "weighted":
         return None
     unmasked = profile.output.model_copy(update={"masked": ()})
@@ -220,7 +220,7 @@ def _known(profile: Profile) -> tuple[Profile, KernelBank] | None:
 
 
 def _parts(path: Path, profile: Profile) -> Path:
-    """Return the folder for partial results, shared by processes with the same design."""
+    """Return the folder for kernels of an unfinished design; several processes can share it."""
     return path.with_name(f"{path.stem}-{problem_hash(profile)[:12]}.parts")
 
 
@@ -246,7 +246,7 @@ def design_bank(
     from smarttouch.kernels.switched_design import designer, possible_modes
 
     modes, profile, design = possible_modes(profile), _by_sources(profile), designer(profile)
-    known = _known(profile)
+    known = _find_similar_bank(profile)
     if known is not None and problem_hash(known[0]) != problem_hash(profile):
         design = design_unless_known(design, known[0], known[1].kernel)
     columns: dict[str, Any] = {name: {} for name in _IN_FILE}
@@ -261,8 +261,8 @@ def design_bank(
 def design_confined(
     profile: Profile, sites: Sequence[int], progress: Progress | None, keep: Path | None = None
 ) -> KernelBank:
-    """Design kernels for some sites; each uses the nearest `Kernels.neighbors` electrodes. Other
-    sites get zero kernels, and the AF at a target from more distant electrodes counts as zero."""
+    """Design kernels for some sites. Each drives only the `Kernels.neighbors` electrodes nearest to
+    its site. Other sites get zeros, and so does the AF from more distant electrodes."""
     from smarttouch.kernels.batch_design import design_tiles
     from smarttouch.kernels.switched_design import designer, possible_modes
 
@@ -284,7 +284,7 @@ def design_confined(
 
 
 def _enter(columns: dict[str, Any], problem: "Problem", timed: "Sequence[Timed]") -> None:
-    """Store the kernels of a class, with the design times."""
+    """Write the kernels of one class and their design times into ``columns``."""
     afferent, kernels = problem.afferent, [kernel for kernel, _ in timed]
     fields: dict[str, tuple[Any, Any]] = {
         "weights": ([kernel.weights for kernel in kernels], np.float64),
@@ -320,7 +320,7 @@ def write_bank(path: Path, profile: Profile, bank: KernelBank) -> None:
 
 
 def _read(path: Path, profile: Profile) -> KernelBank | None:
-    """Return the bank in a file, or None if it is incomplete or for another problem."""
+    """Return the bank in a file; None if it is incomplete or belongs to another design problem."""
     try:
         with open_file(path, DesignError, MOST_BANK_BYTES) as file:
             arrays = dict(np.load(file, allow_pickle=False))
@@ -336,15 +336,15 @@ def _read(path: Path, profile: Profile) -> KernelBank | None:
             return None
         return KernelBank(**columns)
     except Exception:
-        # A damaged archive can raise many errors; design the bank again.
+        # A damaged archive can raise errors of many kinds; design the bank again.
         return None
 
 
 def single_bank(profile: Profile) -> KernelBank:
     """Return a bank in which each kernel is one electrode against all others.
 
-    All kernels are stored as `Afferent.RA`, whatever afferents they reach. The electrode is anodic
-    if the board allows it; the others share the return current equally.
+    All kernels are stored as `Afferent.RA`, whatever classes they stimulate. The single electrode
+    is anodic if the board allows it; all others share the return current equally.
     """
     count = len(profile.electrodes)
     driven = profile.driven

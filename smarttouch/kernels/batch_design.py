@@ -1,9 +1,9 @@
-"""Batch design of kernels on all cores, resumable, with each distinct site designed once.
+"""Design of the kernels of many sites on all cores; an interrupted design resumes.
 
-On large arrays a kernel drives only the electrodes near its site. A tile is a site with those
-electrodes and a ring around them, within which nodes are checked: farther out a kernel excites
-less. Sites with equal tiles, or mirrored ones, share a kernel. So a grid of any size needs about 40
-designs, while the time of a complete bank grows with the third power of the number of electrodes.
+On large arrays a kernel drives only the electrodes near its site. A tile consists of the site,
+these electrodes, and a ring around them. Nodes are checked only within the tile, as a kernel
+excites farther ones less. Sites with equal or mirrored tiles share a kernel, so a grid of any size
+needs about 40 designs. Without tiles, the time grows with the third power of the electrode count.
 """
 
 import contextlib
@@ -42,7 +42,7 @@ _running: set[int] = set()  # threads that are designing
 
 
 def part_of(progress: Progress | None, index: int, parts: int) -> Progress:
-    """Return a progress callback for one of several equal parts."""
+    """Return a callback that reports the progress of one of several equal parts."""
 
     def advance(done: int, total: int) -> None:
         if progress is not None:
@@ -60,9 +60,9 @@ def design_sites(
 ) -> list[Timed]:
     """Design a kernel for each site, and return it with its design time.
 
-    Mirrored sites are designed once. Sites run in parallel by `joblib.Parallel`: on threads, as the
-    solver releases the interpreter lock, or as set by ``joblib.parallel_config`` (for example a
-    Dask cluster). Each kernel is stored in the folder `keep`, so an interrupted design resumes.
+    Of sites that mirror each other, one is designed. `joblib.Parallel` uses threads, because the
+    solver releases the interpreter lock, or the backend of ``joblib.parallel_config``, for example
+    a Dask cluster. Finished kernels are stored in the folder `keep`, if given, and not redesigned.
     """
     from joblib import Parallel, delayed
     from threadpoolctl import threadpool_limits
@@ -93,7 +93,7 @@ def design_sites(
                     progress(len(done), len(distinct))
         except BaseException:
             answers.close()
-            # Wait for the solver's threads: the process would abort if it ended before.
+            # Wait for the solver's threads: the process would abort if it ended before them.
             while _running:
                 time.sleep(0.02)
             raise
@@ -116,7 +116,7 @@ def _timed(design: Design, problem: Problem, site: int) -> tuple[int, Kernel, fl
 def _moved(problem: Problem, site: int, kernel: Kernel, move: np.ndarray) -> Kernel:
     weights = np.empty_like(kernel.weights)
     weights[move] = kernel.weights
-    # Mirroring reverses the nodes of an axon, so find the node with the largest AF (Eq. 11).
+    # Mirroring can reverse the nodes of an axon. The target has the largest AF of them (Eq. 11).
     node = kernel.node and int((problem.axon(site) @ weights).argmax())
     return replace(kernel, weights=weights, node=node)
 
@@ -136,8 +136,8 @@ def keep_kernel(keep: Path, problem: Problem, site: int, kernel: Kernel, seconds
         "gap": kernel.gap,
         "seconds": seconds,
     }
-    # Another process with the same design may remove the folder. What is not stored is designed
-    # again.
+    # Another process with the same design may remove the folder. A kernel that is not stored is
+    # designed again.
     with contextlib.suppress(OSError):
         keep.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile("w", dir=keep, suffix=".part", delete=False) as half:
@@ -172,10 +172,10 @@ def design_unless_known(
     design: Design, before: Profile, known_kernel: Callable[[Afferent, int, KernelKind], Kernel]
 ) -> Design:
     """Return a design function that reuses the kernels of another profile if they stay optimal.
-    Such a kernel has no current at masked electrodes.
 
-    Either the limits are equal, or the kernel is within the new limits and was not constrained by
-    the old ones: an optimum stays optimal over any subset that contains it.
+    A kernel stays optimal if it drives no masked electrode, and if either the limits are the same
+    or it lies within the old and the new limits: an optimum stays optimal over any subset that
+    contains it.
     """
 
     def keep_or_design(problem: Problem, site: int) -> Kernel:
@@ -201,8 +201,8 @@ def _same_limits(before: Profile, now: Profile, site: int) -> bool:
 
 
 def _within(weights: Array, site: int, profile: Profile) -> bool:
-    """Return whether a pattern, (E,), stays well below the profile's limits at the site's full
-    current."""
+    """Return whether a pattern, (E,), stays within the profile's limits if the site carries its
+    strongest comfortable current."""
     total, electrode = limits_ma(profile)
     if weights[site] == 0:
         return bool(np.isinf(total) and np.isinf(electrode).all())
@@ -217,16 +217,16 @@ _DECIMALS = 6
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """Surroundings of a site as a small array, and all sites with such surroundings."""
+    """Site and its neighbors as a small array, and all sites with the same neighbors."""
 
     profile: Profile  # electrode 0 is the site
-    # by site: the electrodes (N,) of the array that correspond to those of the tile
+    # by site: numbers in the complete array, (N,), of the electrodes of the tile
     members: dict[int, NDArray[np.intp]] = field(default_factory=dict)
 
 
 def tiles_of(profile: Profile, sites: Iterable[int]) -> list[Tile]:
-    """Return the tiles of sites. A tile has complete rings of equal distance, with at most
-    `Kernels.neighbors` driven electrodes."""
+    """Return the distinct tiles of sites. A tile drives all electrodes up to a distance from its
+    site: the largest distance with at most `Kernels.neighbors` of them."""
     array, neighbors = profile.electrodes, profile.kernels.neighbors or len(profile.electrodes)
     is_driven = np.isin(np.arange(len(array)), profile.driven)
     properties = np.column_stack(own_properties(profile))
@@ -241,7 +241,7 @@ def tiles_of(profile: Profile, sites: Iterable[int]) -> list[Tile]:
         drives = is_driven[seen] & (away_mm[seen] <= radius_mm)
         keys = []
         for move in moves:
-            # Adding 0 turns negative zeros into positive ones, for the comparison of bytes.
+            # Adding 0 turns negative zeros into positive ones: equal values need equal bytes.
             moved = (apart_mm[seen] @ move.T).round(_DECIMALS) + 0.0
             rows = np.column_stack([away_mm[seen], moved, drives, properties[seen]])
             order = np.lexsort(rows.T[2::-1])
@@ -257,8 +257,8 @@ def tiles_of(profile: Profile, sites: Iterable[int]) -> list[Tile]:
 def _cut(
     profile: Profile, members: NDArray[np.intp], places_mm: Array, drives: NDArray[np.bool_]
 ) -> Profile:
-    """Return the profile of a tile: electrodes (N,) at places (N, 2), with a mask of driven ones
-    (N,)."""
+    """Return the profile of a tile: electrodes ``members``, (N,), at ``places_mm``, (N, 2).
+    Electrodes that are not in ``drives``, (N,), are masked."""
     array, felt, limits = profile.electrodes, profile.perception, profile.limits
     shapes = [array.own[index] for index in members] if array.own else None
     layout = FreeLayout(
@@ -294,8 +294,8 @@ def design_tiles(
     progress: Progress | None = None,
     keep: Path | None = None,
 ) -> Iterable[tuple[Afferent, int, NDArray[np.intp], Kernel, float, Array]]:
-    """Yield for each mode and site: electrodes (N,), their kernel, the design time in seconds, and
-    the AF at the target from each electrode, (N,) V/mm² per mA."""
+    """Yield the kernel of each class and site: class, site, electrodes of the tile (N,), kernel,
+    design time in s, and the AF at the target from each electrode, (N,) V/mm² per mA."""
     tiles = tiles_of(profile, sites)
     for index, tile in enumerate(tiles):
         node_rows: dict[Afferent, Array] = {}

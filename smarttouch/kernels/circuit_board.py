@@ -1,6 +1,6 @@
-"""The electrode array of a profile as a KiCad board, and as a drawing in true size.
+"""Electrode array of a profile as a KiCad board, and as a drawing in true size.
 
-In both, as in profiles, x points right and y downward, and the finger lies on the front.
+As in profiles, x points right and y downward, and the finger lies on the front side.
 """
 
 from pathlib import Path
@@ -12,28 +12,28 @@ from smarttouch.base.files import write_bytes
 from smarttouch.profile.electrodes import Shape
 from smarttouch.profile.profile import Profile
 
-CONTACT_PITCH_MM, CONTACT_MM = 0.5, (0.3, 3.0)  # of connectors for flat flexible cables
-MOST_CONTACTS, GAP_MM = 40, 2.0  # contacts of one connector, and the gap between two
-EDGE_MM, TAIL_MM = 0.5, 10.0  # from copper to the edge, and from electrodes to contacts
+CONTACT_PITCH_MM, CONTACT_MM = 0.5, (0.3, 3.0)  # contacts of a connector for flat flexible cables
+MOST_CONTACTS, GAP_MM = 40, 2.0  # largest connector, and the gap between connectors
+EDGE_MM, TAIL_MM = 0.5, 10.0  # from copper to the board's edge, from electrodes to contacts
 _HEAD = """(kicad_pcb (version 20241229) (generator "smarttouch") (generator_version "9.0")
 (layers (0 "F.Cu" signal) (2 "B.Cu" signal) (1 "F.Mask" user) (25 "Edge.Cuts" user)
   (35 "F.Fab" user))
 (general (thickness 0.12)) (paper "A4") (setup (pad_to_mask_clearance 0)) (net 0 "")"""
 _TEXT = '(at 0 0 0) (layer "F.Fab") (hide yes) (effects (font (size 1 1) (thickness 0.15)))'
-# number; electrode that gives the net its name; x, y, shape, size
+# pad number; electrode after which its net is named, if any; x, y, shape, size
 _Pad = tuple[int, int | None, float, float, Shape, tuple[float, float]]
 
 
 def write_kicad(profile: Profile, folder: Path) -> Path:
-    """Write a board of KiCad 9 with electrodes and contacts; return its path.
+    """Write a board file of KiCad 9 with electrodes and contacts; return its path.
 
     Contact ``k + 1`` belongs to output k of the driver board, and has the net of the electrode that
     ``output.wiring`` connects to it. Nets are named after electrodes. Raises ProfileError if the
-    board exists, as its tracks would be lost, if it cannot be written, and for points.
+    file exists (its tracks would be lost) or cannot be written, or if an electrode is a point.
     """
     path = folder / f"{profile.name}.kicad_pcb"
     if path.exists():
-        raise ProfileError(f"{path} exists, perhaps with tracks: give another folder")
+        raise ProfileError(f"{path} exists and may have tracks: give another folder")
     electrodes, (right, down) = _electrodes(profile)
     wiring = list(profile.output.wiring or range(len(electrodes)))
     output, site_of = np.arange(max(wiring) + 1), {put: site for site, put in enumerate(wiring)}
@@ -58,14 +58,14 @@ def write_kicad(profile: Profile, folder: Path) -> Path:
 
 
 def drawing(profile: Profile) -> bytes:
-    """Return the electrodes with their numbers as SVG, in true size, for arrays without points."""
+    """Return an SVG of the electrodes and their numbers in true size. Points raise ProfileError."""
     pads, (right, down) = _electrodes(profile)
     size = f'width="{2 * right:.6f}mm" height="{2 * down:.6f}mm" font-size="0.5"'
     view = f'viewBox="{-right:.6f} {-down:.6f} {2 * right:.6f} {2 * down:.6f}" stroke="orange"'
     lines = [f'<svg xmlns="http://www.w3.org/2000/svg" {size} {view} fill="none">']
     for number, _, x, y, shape, (first, second) in pads:
         form, line = f'path d="M{x:.6f} {y - second / 2:.6f}v{second:.6f}"', first
-        if shape != "rectangle":  # a disc is a ring without a hole
+        if shape != "rectangle":  # draw a disc as a ring without a hole
             form, line = f'circle cx="{x:.6f}" cy="{y:.6f}"', (first - second) / 2
             form += f' r="{(first + second) / 4:.6f}"'
         lines.append(f'<{form} stroke-width="{line:.6f}"/>')
@@ -74,7 +74,7 @@ def drawing(profile: Profile) -> bytes:
 
 
 def _electrodes(profile: Profile) -> tuple[list[_Pad], tuple[float, float]]:
-    """Return the electrodes, and half the width and height of a board for them, mm."""
+    """Return the electrodes as pads, and half the width and height, mm, of a board for them."""
     array, places = profile.electrodes, profile.electrodes.position_mm
     if any(shape == "point" for shape, _ in array.kinds):
         raise ProfileError("points have no copper: give a shape and a size", key="array.shape")
@@ -95,7 +95,7 @@ def _footprint(name: str, reference: str, pads: list[_Pad]) -> list[str]:
         if shape == "disc":
             kind, height = "circle", width
         elif shape == "annulus":
-            # The anchor of a pad is copper itself, so it lies on the ring.
+            # KiCad adds copper at the anchor of a custom pad, so place the anchor on the ring.
             radius, width = (width + height) / 4, (width - height) / 2
             kind, x, height = "custom", x + radius, width
             ring = f"(gr_circle (center {-radius:.6f} 0) (end 0 0) (width {width:.6f}) (fill no))"

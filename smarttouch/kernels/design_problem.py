@@ -34,12 +34,12 @@ _SQUARE = [
         [[0, -1], [-1, 0]],
     )
 ]
-"""Symmetries of a square. Other symmetries of a hexagon do not preserve the lattice of nodes."""
+"""Symmetries of a square. A hexagon has others, which do not preserve the lattice of nodes."""
 
 
 def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
-    """Return permutations of electrodes that preserve the problem, identity first: e maps to
-    ``permutation[e]``."""
+    """Return the permutations of electrodes that leave a design problem unchanged, identity first.
+    Each maps electrode e to ``permutation[e]``."""
     array = profile.electrodes
     moves = []
     kind = _kinds(profile)
@@ -56,8 +56,8 @@ def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
 
 
 def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[np.int_]]:
-    """Return the symmetries of a square, (2, 2) each, that preserve electrode shapes, the skin and
-    the targets of some classes, identity first."""
+    """Return the symmetries of a square, (2, 2) each, that preserve electrode shapes, all axon
+    directions, and the axons of the targets of ``targets_of``; identity first."""
     skin = profile.skin
     kinds = profile.electrodes.kinds
     upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in kinds)
@@ -89,13 +89,13 @@ def own_properties(profile: Profile) -> list[NDArray[np.float64]]:
     if limits.electrode_ma is not None:
         properties.append(np.array(limits.electrode_ma))
     if limits.electrode_ma is not None or profile.design_total_ma is not None:
-        # Limits scale with the full current of a site.
+        # In a design, limits are relative to the comfort level of the site.
         properties.append(np.asarray(profile.full_ma, np.float64))
     return properties
 
 
 def _keeps(axons: NDArray[np.float64], matrix: NDArray[np.int_]) -> bool:
-    """Return whether a symmetry preserves a set of axon directions; opposite directions are
+    """Return whether a symmetry preserves a set of axon directions; opposite directions count as
     equal."""
     moved = axons.copy()
     moved[:, :2] = axons[:, :2] @ matrix.T
@@ -117,7 +117,7 @@ class Kernel:
 
     weights: Array  # (E,) mA for an AF of 1 V/mm² at the target, positive cathodic
     off_target: float  # largest activation of another class, relative to the target
-    off_target_class: Afferent  # class with that activation
+    off_target_class: Afferent  # class that has this activation
     spill: float  # largest activation of the same class beyond one pitch, relative to the target
     node: int = 0  # index of the target node on its axon; 0 is under the electrode
     kind: KernelKind = "weighted"
@@ -146,25 +146,25 @@ def limits_ma(profile: Profile) -> tuple[float, Array]:
     """Return the limits of total current and of each electrode, (E,), mA; infinite if unlimited."""
     limits, count = profile.limits, len(profile.electrodes)
     # Currents are rounded to whole µA, so leave a margin of 1 µA for each electrode.
-    room = count / 1000
-    electrode = np.array(limits.electrode_ma or np.full(count, np.inf)) - room
-    return (profile.design_total_ma or np.inf) - room, electrode
+    margin = count / 1000
+    electrode = np.array(limits.electrode_ma or np.full(count, np.inf)) - margin
+    return (profile.design_total_ma or np.inf) - margin, electrode
 
 
 def masked_site(site: int) -> DesignError:
     """Return the error for a masked site."""
     return DesignError(
-        f"site {site} is masked: its electrode is not driven; choose another, or take it out of "
+        f"site {site} is masked: its electrode is not driven; choose another, or remove it from "
         "output.masked of the profile",
         electrode=site,
     )
 
 
 class Problem:
-    """Rows of one class against other classes, by default both (Eq. 10 has one, Eq. 16 two).
+    """Design problem of one class: AF rows of its targets, of its nodes, and of other classes.
 
-    All sites of a profile share them. `made` caches the rows of each class for other problems of
-    the same profile.
+    ``others`` are by default both other classes (Eq. 10 has one, Eq. 16 two). All sites of a
+    profile share the rows. `made` caches the rows of a class for further problems of the profile.
     """
 
     def __init__(
@@ -180,7 +180,7 @@ class Problem:
             others = [other for other in Afferent if other is not afferent]
         if afferent in others or not others:
             raise DesignError(
-                f"{afferent.name} must be selected against one or two other classes, not against "
+                f"a kernel of {afferent.name} needs one or two other classes to avoid, not "
                 f"{', '.join(other.name for other in others) or 'none'}"
             )
         nodes = {other: everywhere(profile, other) for other in (afferent, *others)}
@@ -202,7 +202,7 @@ class Problem:
         own_nodes = nodes[afferent]
         apart = max(1, round(_FIRST_MM / profile.skin.node_spacing_mm))
         self.coarse_other: NDArray[np.intp] = _sublattice(self.grids, apart)
-        """Indices of rows that lie about `_FIRST_MM` apart."""
+        """Indices of rows of `other` whose nodes lie about `_FIRST_MM` apart."""
         self.coarse_own: NDArray[np.intp] = _sublattice(
             [(own_nodes.grid, len(own_nodes.direction))], apart
         )
@@ -234,8 +234,8 @@ class Problem:
             raise masked_site(site)
 
     def beyond_a_pitch(self, site: int, node: int = 0) -> NDArray[np.bool_]:
-        """Return which rows of `own` lie farther than one pitch from a node of a site's axon,
-        (M,)."""
+        """Return which rows of `own`, (M,), are of nodes farther than one pitch from a node of a
+        site's axon."""
         electrodes = self.profile.electrodes
         target_mm = self.axon_mm(site)[node, :2] if node else electrodes.position_mm[site]
         away = np.linalg.norm(self._own_position_mm - target_mm, axis=1)
@@ -246,26 +246,26 @@ class Problem:
         return float(self.profile.full_ma[site])
 
     def axon(self, site: int) -> Array:
-        """Return the rows of the target's axon, the node under the electrode first."""
+        """Return the AF rows of the target's axon, (K, E), the node under the electrode first."""
         sets = along_axon(self.profile, self.afferent, site)
         return np.concatenate([af_matrix(self.profile, one, self.profile.skin) for one in sets])
 
     def axon_mm(self, site: int) -> Array:
-        """Return the places of the nodes of the target's axon, (K, 3) mm: x, y and depth."""
+        """Return the places of the nodes of `axon`, (K, 3) mm: x, y and depth."""
         sets = along_axon(self.profile, self.afferent, site)
         return np.concatenate(
             [np.c_[one.position_mm, np.full(len(one.position_mm), one.depth_mm)] for one in sets]
         )
 
     def representative(self, site: int) -> tuple[int, NDArray[np.intp]]:
-        """Return a symmetric site that represents this one, and the permutation from there to
-        here."""
+        """Return the first site that mirrors this one, and the permutation that maps it to this
+        site."""
         moves = [(int(np.flatnonzero(move == site)[0]), move) for move in self.symmetries]
         return min(moves, key=lambda pair: pair[0])
 
     def orbits(self, site: int) -> Array:
-        """Return the orbits of electrodes under a site's symmetries, (E, O) of 0 and 1; masked ones
-        are 0."""
+        """Return the orbits of electrodes under the symmetries that keep a site in place, one in
+        each column, (E, O) of 0 and 1. Masked electrodes are 0."""
         mirrors = np.array([move for move in self.symmetries if move[site] == site])
         _, orbit = np.unique(mirrors.min(axis=0)[self.driven], return_inverse=True)
         patterns = np.zeros((self.electrodes, orbit.max() + 1))
@@ -280,8 +280,8 @@ class Problem:
         kind: KernelKind = "weighted",
         gap: float = 0.0,
     ) -> Kernel:
-        """Return a kernel with weights scaled to an activation of 1, and its figures. Raises
-        DesignError if the weights do not activate the target."""
+        """Return the kernel for a pattern: weights for an AF of 1 V/mm² at the target, off-target
+        and spill. Raises DesignError if the pattern does not activate the target."""
         far = self.beyond_a_pitch(site, node)
         aim = self.target[site] if node == 0 else self.axon(site)[node]
         own_af = float(aim @ weights)
@@ -290,8 +290,8 @@ class Problem:
             raise DesignError(message, electrode=site)
         others = self.other @ weights
         highest = float(others.max())
-        # An optimum often activates two classes equally: rounding errors must not choose between
-        # them.
+        # An optimum often activates two classes equally. Rounding errors must not decide which is
+        # named.
         alike = others >= highest - _ALIKE * abs(highest)
         whose = int(self.other_class[alike].min())
         spill = max(float((self.own @ weights)[far].max(initial=-np.inf)) / own_af, 0.0)

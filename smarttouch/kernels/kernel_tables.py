@@ -25,7 +25,7 @@ class SiteKernel:
     seconds: float  # design time
 
 
-Advance = Callable[[int, int], None]  # called with the numbers of sites done and in all
+Advance = Callable[[int, int], None]  # called with the number of finished sites and of all sites
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def find_kernels(
 ) -> list[SiteKernel]:
     """Return kernels at one site or at all sites, from a bank or designed now.
 
-    With ``any_node`` the best node of each axon is the target, else the node under the electrode.
+    The target is the node under the electrode or, with ``any_node``, the best node of its axon.
     """
     sites = profile.driven.tolist() if site is None else [site]
     if not any_node:
@@ -79,7 +79,7 @@ def find_kernels(
 def middle_kernels(
     profile: Profile, kernels: Sequence[SiteKernel]
 ) -> tuple[int, dict[Afferent, Kernel]]:
-    """Return the site nearest to the middle, and its kernels by class."""
+    """Return the site nearest to the middle of the array, and its kernels by class."""
     sites = sorted({site_kernel.site for site_kernel in kernels})
     away_mm = np.linalg.norm(profile.electrodes.position_mm[sites], axis=1)
     site = sites[int(away_mm.argmin())]
@@ -141,8 +141,8 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
             row += [f"{total:.2f}", _gap(kernel.gap)]
     names = " and ".join(mode.name for mode in modes)
     note = (
-        "Worst other and own spill are relative to the target: above 1 another class or place "
-        "fires first."
+        "Worst other and own spill are relative to the target: above 1, another class or another "
+        "place fires before the target."
     )
     return WordTable(
         f"{names} kernels of {profile.name}: {profile.title}", heading, list(rows.values()), note
@@ -150,7 +150,7 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
 
 
 def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list[bool]]]:
-    """Return a kernel's weights in the layout of the array, and a mask of the site's cell."""
+    """Return a kernel's weights in the layout of the array, and a mask that marks the site."""
     kernel, position = of.kernel, profile.electrodes.position_mm
     weights = kernel.peak_normalized
     lines = []

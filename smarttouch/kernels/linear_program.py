@@ -1,9 +1,9 @@
-"""Min–max linear program with few unknowns and very many rows.
+"""Solver for min–max linear programs with few unknowns and very many rows.
 
-The solver starts with a few rows. Each round adds the worst rows that its answer violates, until it
-violates none. Rounds check the coarse rows first, then the rows that were nearly violated at the
-last complete check, then all rows. HiGHS continues from its last basis, so a round costs a few
-pivots. The final answer satisfies all rows, and its dual proves it optimal.
+It starts with a few rows. Each round solves the program and adds the rows that the solution
+violates most, until it violates none. A round checks a coarse subset first, then the rows that were
+nearly violated at the last check of all rows, then all rows. HiGHS continues from its last basis,
+so a round costs a few pivots. The final solution is proven optimal by its dual.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,23 +28,23 @@ _OPTIONS: Options = {
     "output_flag": False,
     "threads": 1,
     "presolve": "off",
-    # Exact steepest-edge weights, recomputed at every hot start, cost more than they save.
+    # Use Devex weights, because exact steepest-edge weights are recomputed at every hot start.
     "simplex_dual_edge_weight_strategy": 1,
 }
 
-_PATIENCE = 10  # iterations per row and column after which a hot start is considered to cycle
+_PATIENCE = 10  # iterations per row and column after which a hot start counts as cycling
 _RESCUES: tuple[Options, ...] = (
     {"simplex_dual_edge_weight_strategy": -1},
     {"solver": "ipm", "presolve": "on"},
 )
-"""Solver options for successive cold starts if an answer cannot be verified."""
+"""Solver options for successive cold starts, if a solution cannot be verified."""
 
 
 class _SilentHighs(highspy.Highs):
-    """Solver that prints nothing: version 1.16 prints a banner before options can disable it."""
+    """HiGHS without output. Version 1.16 prints a banner before an option can disable it."""
 
     def __init__(self) -> None:
-        # The class's own method has type annotations.
+        # mypy rejects super().__init__(), because it has no type annotations.
         highspy.Highs.__init__(self)
 
     def enableCallbacks(self) -> None:  # noqa: N802, the name that the library calls
@@ -53,11 +53,11 @@ class _SilentHighs(highspy.Highs):
 
 
 class ProgramRows:
-    """Rows of a program, (N, O), as products that save memory: the rows of all sites, (M, E), times
-    the orbits of one site, (E, O).
+    """Rows of a program, (N, O), stored as factors to save memory: AF rows, (M, E), which all sites
+    share, times the orbits of one site, (E, O).
 
-    Each part is an array (M, E), its scale, by which it is divided, and indices of the rows to use,
-    or None for all. Rows at `coarse`, (K,), are checked first.
+    Each of ``parts`` is an array of AF rows, the scale by which they are divided, and the indices
+    of the rows to use (None for all). Rows with indices ``coarse``, (K,), are checked first.
     """
 
     def __init__(
@@ -102,12 +102,12 @@ class ProgramRows:
 
 
 class LinearProgram:
-    """Minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σw = 0.
+    """Linear program: minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σ size·w = 0.
 
-    Each of the O unknowns is the current of `size` electrodes, (O,). Ties between optimal patterns
-    are broken by `ties`, costs of each unknown's magnitude, (O,), in this order. `worst` chooses
-    rows to add by the excess of all rows, (N,); by default all violated ones. `after` is a solved
-    program with the same rows, from whose rows this one starts; its t must not be negative.
+    An unknown w is the current of each of `size` electrodes, (O,). Among optimal patterns, those
+    with the least Σ cost·|w| are chosen, with each cost of `ties`, (O,), in turn. `worst` chooses
+    the rows to add from the excess of all rows, (N,); by default all violated ones. With `after`, a
+    solved program, this one starts with the rows that `after` has used, and t is at least 0.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class LinearProgram:
         rows: ProgramRows,  # (N, O)
         slope: Array,  # (N,) 1 if t limits the row, else 0
         bound: Array,  # (N,) 0 if t limits the row
-        aims: Array,  # (S, O) must reach 1; a single row equals 1
+        aims: Array,  # (S, O) each must reach 1; a single one equals 1
         size: Array,
         ties: Sequence[Array],
         worst: Chooser | None = None,
@@ -126,7 +126,7 @@ class LinearProgram:
         self._size, self._ties = size, ties
         self._worst = worst or (lambda excess: np.flatnonzero(excess > _TOLERANCE))
         self._count = rows.orbits.shape[1]
-        self._given = np.zeros(len(rows), bool)
+        self._used = np.zeros(len(rows), bool)
         self._near: NDArray[np.intp] = np.zeros(0, np.intp) if after is None else after._near
         self._near_rows: Array = np.zeros((0, self._count)) if after is None else after._near_rows
         self._solver = _SilentHighs()
@@ -141,13 +141,13 @@ class LinearProgram:
         exact = 1.0 if len(aims) == 1 else np.inf
         self._add(np.c_[aims, np.zeros(len(aims))], 1.0, np.full(len(aims), exact))
         self._add(np.r_[size, 0.0][None], 0.0, np.zeros(1))
-        # The rows with the extreme values of each column usually become active.
+        # Start with the rows that have the extreme values of each column: they usually bind.
         coarse = rows.coarse_rows
         first = rows.coarse[np.unique(np.r_[coarse.argmax(axis=0), coarse.argmin(axis=0)])]
-        self._give(first if after is None else np.flatnonzero(after._given))
+        self._use(first if after is None else np.flatnonzero(after._used))
 
     def most_selective(self) -> float:
-        """Return the smallest t; infinite if there is no feasible pattern."""
+        """Solve the program. Return the smallest t; infinite if no pattern is feasible."""
         answer = self._solve()
         return np.inf if answer is None else float(answer[self._count])
 
@@ -158,17 +158,17 @@ class LinearProgram:
 
     @property
     def unique(self) -> bool:
-        """True if the optimum is unique: every active bound has a nonzero dual."""
+        """True if the optimum is proven unique: it has as many nonzero duals as columns."""
         solution = self._solver.getSolution()
         prices = np.r_[solution.row_dual, solution.col_dual]
         return int((np.abs(prices) > _PRICE).sum()) >= self._columns
 
     def limit(self, reference: Array, factors: Array, total: float | None) -> None:
-        """Bound magnitudes by `factors`, (O,), and their sum by `total`, both times the current
-        reference·w.
+        """Limit magnitudes to `factors`, (O,), and their sum over all electrodes to `total`, both
+        relative to the current reference·w.
 
-        The reference, (O,), selects a site's own electrode, for example. Infinite factors and None
-        mean no bound.
+        The reference, (O,), selects the electrode of a site, for example. Infinite factors and a
+        total of None set no limit.
         """
         bounded = np.flatnonzero(np.isfinite(factors))
         eye = np.eye(self._count)[bounded]
@@ -182,7 +182,7 @@ class LinearProgram:
             self._add(row[None], -np.inf, np.zeros(1))
 
     def settled(self) -> Array:
-        """Return the optimal pattern, (O,), with ties broken."""
+        """Return the optimal pattern, (O,); of several, the one that `ties` prefer."""
         for prices in self._ties:
             if self.unique:
                 break
@@ -190,7 +190,7 @@ class LinearProgram:
             self._add_magnitudes()
             self._cost(np.r_[np.zeros(self._count + 1), prices])
             if self._solve() is None:
-                message = "the solver lost its own optimum: loosen the limits a little"
+                message = "the solver did not find its optimum again: raise the limits a little"
                 raise DesignError(message)
         return self.pattern
 
@@ -213,7 +213,7 @@ class LinearProgram:
 
     def _solve(self) -> Array | None:
         rescues = iter(_RESCUES)
-        believed = False
+        is_cold = False
         while True:
             rows, columns = self._solver.getNumRow(), self._columns
             self._solver.setOptionValue("simplex_iteration_limit", _PATIENCE * (rows + columns))
@@ -222,27 +222,27 @@ class LinearProgram:
             if status == highspy.HighsModelStatus.kOptimal:
                 answer = np.asarray(self._solver.getSolution().col_value)
                 weights, worst = answer[: self._count], answer[self._count]
-                if len(broken := self._broken(weights, float(worst))):
-                    self._give(broken)
+                if len(violated := self._violated(weights, float(worst))):
+                    self._use(violated)
                     continue
-                if believed or self._proven(answer):
+                if is_cold or self._proven(answer):
                     return answer
-            elif believed and status == highspy.HighsModelStatus.kInfeasible:
+            elif is_cold and status == highspy.HighsModelStatus.kInfeasible:
                 return None
-            # A hot start can fail or cycle. Then only a cold start is accepted.
-            believed = True
+            # A hot start can fail or cycle. From now on accept only the results of cold starts.
+            is_cold = True
             self._solver.clearSolver()
             rescue = next(rescues, None)
             if rescue is None:
                 raise DesignError(
                     f"the solver gave up ({self._solver.modelStatusToString(status)}): "
-                    "check the depths and sizes of the profile"
+                    "check depths and electrode sizes of the profile"
                 )
             for name, value in rescue.items():
                 self._solver.setOptionValue(name, value)
 
     def _proven(self, answer: Array) -> bool:
-        """Return whether the duals prove the answer optimal for the rows in the solver."""
+        """Return whether the duals prove the solution optimal for the rows that the solver has."""
         solution, model = self._solver.getSolution(), self._solver.getLp()
         duals, reduced = np.asarray(solution.row_dual), np.asarray(solution.col_dual)
         lower, upper = np.asarray(model.row_lower_), np.asarray(model.row_upper_)
@@ -256,29 +256,29 @@ class LinearProgram:
             )
         return abs(value - bound) <= 1e-6 * max(1.0, abs(value))
 
-    def _broken(self, weights: Array, worst: float) -> NDArray[np.intp]:
-        """Return violated rows to add: coarse rows first, then nearly violated ones, then all."""
+    def _violated(self, weights: Array, worst: float) -> NDArray[np.intp]:
+        """Return violated rows to add: coarse rows, or else nearly violated ones, or else any."""
         for some, values in (
             (self._rows.coarse, self._rows.coarse_rows),
             (self._near, self._near_rows),
         ):
             excess = values @ weights - self._slope[some] * worst - self._bound[some]
-            excess[self._given[some]] = -np.inf
-            broken = np.flatnonzero(excess > _TOLERANCE)
-            if len(broken):
-                return some[self._worst_of(broken, excess)]
+            excess[self._used[some]] = -np.inf
+            violated = np.flatnonzero(excess > _TOLERANCE)
+            if len(violated):
+                return some[self._worst_of(violated, excess)]
         excess = self._rows.times(weights) - self._slope * worst - self._bound
-        excess[self._given] = -np.inf
+        excess[self._used] = -np.inf
         if not (excess > _TOLERANCE).any():
-            return broken
-        self._look_near(excess)
+            return violated
+        self._store_near(excess)
         chosen = self._worst(excess)
         if not len(chosen):
             chosen = np.flatnonzero(excess > _TOLERANCE)
         return self._worst_of(chosen, excess)
 
-    def _look_near(self, excess: Array) -> None:
-        """Store the rows that are violated or nearly so; they are checked before all rows."""
+    def _store_near(self, excess: Array) -> None:
+        """Store the rows that are violated or nearly violated, to check them before all rows."""
         near = np.flatnonzero(excess > -_NEAR)
         if len(near) > _MOST_NEAR:
             near = near[np.argpartition(excess[near], -_MOST_NEAR)[-_MOST_NEAR:]]
@@ -290,8 +290,8 @@ class LinearProgram:
             chosen = chosen[np.argpartition(excess[chosen], -many)[-many:]]
         return chosen
 
-    def _give(self, chosen: NDArray[np.intp]) -> None:
-        self._given[chosen] = True
+    def _use(self, chosen: NDArray[np.intp]) -> None:
+        self._used[chosen] = True
         coefficients = np.c_[self._rows.take(chosen), -self._slope[chosen]]
         self._add(coefficients, -np.inf, self._bound[chosen])
 
@@ -312,7 +312,7 @@ class LinearProgram:
         )
 
     def _add_magnitudes(self) -> None:
-        """Add unknowns that bound the magnitudes of the weights; only at the first call."""
+        """Add an unknown for each weight that bounds its magnitude; later calls do nothing."""
         count, columns = self._count, self._columns
         if columns > count + 1:
             return

@@ -18,36 +18,36 @@ Single = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class FrameFigures:
-    """Selectivity of one slot. Activations are relative to the weakest target, scaled to level
-    1."""
+    """Selectivity of one slot. `off_target` and `spill` are relative to the weakest target, whose
+    activation is divided by its level."""
 
     off_target: float  # largest activation of any other class
     spill: float  # largest activation of the same class more than a pitch from every target
-    weakest: float  # smallest activation of a target, relative to its request
-    strongest: float  # largest activation of a target, relative to its request
+    weakest: float  # smallest activation of a target, relative to its requested activation
+    strongest: float  # largest activation of a target, relative to its requested activation
     total_ma: float  # total cathodic current
     electrode_ma: float  # current of the strongest electrode
 
 
 @dataclass(frozen=True)
 class FrameBounds:
-    """Bounds on the side effects of a slot.
+    """Largest allowed side effects of a slot.
 
-    Raises DesignError for impossible values. The default of 0.30 is the off-target of a single SAI
-    point on the paper's line array with the paper's program. All targets together may be weaker by
-    `uneven`, to save current.
+    Raises DesignError for impossible values. The default of 0.30 is the off-target that the paper's
+    linear program reaches for one SAI point on the paper's line array. To save current, all targets
+    of a slot can be weaker than requested by up to `uneven`.
     """
 
     other: float = 0.30  # largest `FrameFigures.off_target`
     spill: float = 0.30  # largest `FrameFigures.spill`
-    uneven: float = 0.05  # largest relative deviation of a target from its request
+    uneven: float = 0.05  # largest relative deviation of a target from its requested activation
 
     def __post_init__(self) -> None:
         for name, value in (("other", self.other), ("spill", self.spill), ("uneven", self.uneven)):
             upper_bound = 1 if name == "uneven" else np.inf
             if not 0 < value < upper_bound:
                 raise DesignError(
-                    f"bound {name} = {value} of a frame must be above 0, uneven below 1"
+                    f"the bound {name} is {value}: give a number above 0, and for uneven below 1"
                 )
 
 
@@ -55,16 +55,16 @@ _SAME_MM = 1e-9
 
 
 class FrameJudge:
-    """Computes the selectivity of currents that stimulate one class at several sites.
+    """Calculator of the selectivity of slots that stimulate one class at several sites.
 
-    Level 1 requests the activation `wish_af`, (E,) V/mm², at each target.
+    `wish_af`, (E,) V/mm², is the activation of each target that level 1 requests.
     """
 
     def __init__(self, profile: Profile, afferent: Afferent, wish_af: Array) -> None:
         if np.shape(wish_af) != (len(profile.electrodes),):
             raise DesignError(
-                f"wish_af has {np.size(wish_af)} values, the array {len(profile.electrodes)} "
-                "electrodes: give one for each"
+                f"wish_af has {np.size(wish_af)} values, but the array has "
+                f"{len(profile.electrodes)} electrodes: give one value for each"
             )
         self.profile: Profile = profile
         self.afferent: Afferent = afferent
@@ -89,7 +89,7 @@ class FrameJudge:
 
     @cached_property
     def full_ma(self) -> Array:
-        """Largest current of each electrode at intensity 1, (E,) mA, rounded to µA; 0 if masked."""
+        """Largest current of each electrode at intensity 1, (E,) mA, in whole µA; 0 if masked."""
         limits = self.profile.limits
         limit_ma = np.minimum(np.asarray(self.profile.full_ma, np.float64), limits.current_ma)
         if limits.electrode_ma is not None:
@@ -99,8 +99,7 @@ class FrameJudge:
 
     @cached_property
     def uneven_af(self) -> tuple[float, float]:
-        """Largest total variation of a row along the electrodes, for other classes and for the same
-        class."""
+        """Largest total variation of a row over consecutive electrodes, for `others` and `own`."""
         rows_of = self.others, self.own
         other, own_af = (float(np.abs(np.diff(rows)).sum(axis=1).max()) for rows in rows_of)
         return other, own_af
@@ -113,19 +112,19 @@ class FrameJudge:
         return np.tile(away <= array.pitch_mm + _SAME_MM, len(nodes.direction))
 
     def far(self, active: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return which nodes of `own` lie more than a pitch from every active target, (M,)."""
+        """Return which nodes of `own`, (M,), lie more than a pitch from every active target."""
         return np.asarray(~self._near[active].any(axis=0))
 
     def judge(self, current: Array, level: Array) -> list[FrameFigures]:
-        """Return the figures of slots with currents (S, E) mA that request levels (S, E).
+        """Return the selectivity of slots with currents (S, E) mA that request levels (S, E).
 
-        Ratios are infinite if a target is not activated. Raises DesignError for a slot without an
-        active site.
+        `off_target` and `spill` are infinite if a target is not activated. Raises DesignError for a
+        slot without an active site.
         """
         if not len(current):
             return []
         if not level.any(axis=1).all():
-            raise DesignError("a slot without an active site has no figures: leave it out")
+            raise DesignError("a slot has no active site, so it has no selectivity: leave it out")
         single = np.asarray(current, np.float32)
         rest, own_af = (single @ self.others.T).max(axis=1), single @ self.own.T
         return [
@@ -143,19 +142,19 @@ class FrameJudge:
 
 
 def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
-    """Return the activation of each site's target by its own kernel at full current, (E,) V/mm²,
-    from `KernelBank.kernels` and `KernelBank.receptor`, (E, E)."""
+    """Return the activation of each site's target, (E,) V/mm², by the site's kernel with its peak
+    at the comfort level. Arguments are `KernelBank.kernels` and `KernelBank.receptor`, (E, E)."""
     return np.asarray(profile.full_ma * (receptor * kernels).sum(axis=1), np.float64)
 
 
 _SOFT = 1e-6
-"""Regularization, relative to the mean response of the targets: with all sites active, zero-sum
-currents cannot meet all requests."""
-AIM = 0.8  # share of the allowed unevenness by which targets are weakened to save current
+"""Regularization, relative to the mean response of the targets. Without it the system is singular
+if all sites are active, because currents sum to zero."""
+AIM = 0.8  # part of `FrameBounds.uneven` by which all targets are weakened to save current
 
 
 class FrameOperator:
-    """Solver for kernels of sites that share slots."""
+    """Solver for the kernels of sites that share slots."""
 
     def __init__(self, judge: FrameJudge) -> None:
         self.judge = judge
@@ -172,8 +171,8 @@ class FrameOperator:
         self._soft = _SOFT * float(np.trace(self._response)) / len(self._response)
 
     def independent(self, sites: NDArray[np.intp]) -> Array:
-        """Return kernels, (A, E) mA per V/mm², each of which activates its own site and none of the
-        other sites."""
+        """Return the kernels of some sites, (A, E) mA per V/mm². Each activates its own site and
+        none of the other sites."""
         system = self._response[np.ix_(sites, sites)] + self._soft * np.eye(len(sites))
         return np.asarray(np.linalg.solve(system, self._columns[:, sites].T))
 
@@ -184,7 +183,7 @@ def _zero_sum(count: int) -> Array:
     return np.asarray(full[:, 1:])
 
 
-MOST_PROVED = 300  # largest number of electrodes for which sets are proved; it takes about 1 s
+MOST_PROVED = 300  # largest array for which sets are proved, in electrodes; takes about 1 s
 _STEPS = (2, 3, 4)  # distances between the sites of a set, in rows and columns
 _SINGLE = 1.0001  # safety factor for rounding errors of single precision
 _HALF_UA_MA = 0.0005
@@ -202,8 +201,8 @@ class SharedKernels:
 
     @cached_property
     def kernels(self) -> Array:
-        """Kernels, (A, E) mA: row i activates site i as requested, and the other sites of the set
-        by 0."""
+        """Kernels, (A, E) mA: row i causes the requested activation at site i and none at the other
+        sites of the set."""
         return np.asarray(self.operator.independent(self.sites) * self._wish[:, None])
 
     @property
@@ -212,10 +211,10 @@ class SharedKernels:
 
     @cached_property
     def excited(self) -> tuple[Array, Array]:
-        """Positive activation of each kernel, (A, N) V/mm², at nodes of other classes and at nodes
+        """Positive activation by each kernel, (A, N) V/mm², at nodes of other classes and at nodes
         of the same class.
 
-        Kernels count zero at nodes of the same class within a pitch of their site.
+        Nodes of the same class within a pitch of the kernel's site count as zero.
         """
         judge = self.operator.judge
         others, own_af = self.kernels @ judge.others.T, np.maximum(self.kernels @ judge.own.T, 0)
@@ -225,17 +224,17 @@ class SharedKernels:
 
     @property
     def off_target(self) -> float:
-        """Upper bound of `FrameFigures.off_target` over all subsets."""
+        """Upper bound of `FrameFigures.off_target` over all subsets of the sites."""
         return self._against_targets(float(self.excited[0].sum(axis=0).max()))
 
     @property
     def spill(self) -> float:
-        """Upper bound of `FrameFigures.spill` over all subsets."""
+        """Upper bound of `FrameFigures.spill` over all subsets of the sites."""
         return self._against_targets(float(self.excited[1].sum(axis=0).max()))
 
     @cached_property
     def totals_ma(self) -> Array:
-        """Total current of each kernel, (A,); their sum bounds the total of any subset."""
+        """Total current of each kernel, (A,); the sum of all bounds the total of any subset."""
         return np.asarray(np.abs(self.kernels).sum(axis=1) / 2)
 
     @cached_property
@@ -246,15 +245,14 @@ class SharedKernels:
 
     @cached_property
     def weakest(self) -> float:
-        """Lower bound of an active target's activation relative to its request, over all subsets.
+        """Lower bound of a target's activation relative to its request, over all subsets.
 
-        It is below 1 if all electrodes are sites: zero-sum currents cannot meet all requests.
+        It is below 1 if all electrodes are sites, as zero-sum currents cannot meet all requests.
         """
         return float((self._reached / self._wish).min())
 
     def _against_targets(self, reached: float) -> float:
-        """Return a value relative to the smallest activation of a target; infinite if that is
-        zero."""
+        """Return an activation relative to `smallest`; infinite if `smallest` is not positive."""
         return reached / self.smallest if self.smallest > 0 else np.inf
 
     @cached_property
@@ -271,37 +269,38 @@ class SharedKernels:
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """Bounds for all subsets of N sets, in V/mm², that include all rounding of the sent currents.
+    """Bounds on activations, V/mm², over all subsets of each of N sets, with currents as rounded.
 
     A slot requests c_k K_k mA of kernel k, with peak p_k, where c_k is aim times intensity times
-    level. The sent currents have three errors with exact bounds (`KernelLists.current_ua`):
+    level. The rounded currents have three errors with exact bounds (`KernelLists.current_ua`):
 
-    - Amplitudes are whole quarters of a µA: c_k is off by at most e_k, an eighth of a µA over p_k.
-    - Weights are whole parts of 32,767: all currents are smaller by φ = 32,767/32,768, and each
-      kernel's sum of currents from electrode 0 to any other is off by at most half a part. Those of
-      a slot, whose peaks add up to P at most, are off by P/65,536 together.
-    - The sum of currents from electrode 0 to any other is rounded to whole µA: by half a µA.
+    - Amplitudes are multiples of 1/4 µA, so c_k is off by at most e_k = (1/8 µA) / p_k.
+    - Weights are integers with a peak of 32,767, divided by 32,768. This scales all currents by
+      φ = 32,767/32,768, and the sum of a kernel's currents from electrode 0 to any other is off by
+      at most half a step. In a slot whose peaks add up to P, these errors add up to P/65,536.
+    - The sum of a slot's currents from electrode 0 to any other is rounded to 1 µA, by up to 1/2.
 
-    The last two are an error h of the running sum, which is 0 at the last electrode. By summation
-    by parts a row g of a field is then off by at most h Σ|g_j − g_j+1|. A node of another class
-    gets at most Σ_k (c_k + e_k) max(g·K_k, 0) + h Σ|g_j − g_j+1|; target i, over its level, at
-    least φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] − h Σ|T_j − T_j+1|. Currents for
-    boards without kernels are added in double precision and rounded once, with less error.
+    The last two together are an error of at most h in this running sum, which is exactly 0 at the
+    last electrode. By summation by parts, the AF at a node with row g is then off by at most
+    h Σ|g_j − g_j+1|. The AF is at most Σ_k (c_k + e_k) max(g·K_k, 0) + h Σ|g_j − g_j+1| at a node
+    of another class, and at least φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] −
+    h Σ|T_j − T_j+1| at target i; the latter is divided by the target's level. Without stored
+    kernels, currents are added in double precision and rounded once, with a smaller error.
     """
 
     # (2, N) largest activation per intensity at nodes of other classes and of the same class
     reached: Array
-    rounding: Array  # (2, N) largest increase of it by rounding
+    rounding: Array  # (2, N) largest increase of that activation by rounding
     target: Array  # (N,) smallest activation of a target per intensity, scaled to level 1
-    lost: Array  # (N,) largest decrease of it by rounding
+    lost: Array  # (N,) largest decrease of the scaled target activation by rounding
     total_ua: float  # largest increase of a slot's total current by rounding
 
     @classmethod
     def of(
         cls, sets: Sequence[SharedKernels], aim: float, faintest: float, most_ma: float
     ) -> "Certainty":
-        """Return the bounds for levels from ``faintest`` to 1 and slots of at most ``most_ma`` in
-        total. Targets get only the share ``aim`` of the requested activation."""
+        """Return the bounds for levels from ``faintest`` to 1 and slots with a total current of at
+        most ``most_ma``. Targets get only ``aim`` times the requested activation."""
         certainties = [cls._of_one(site_set, aim, faintest, most_ma) for site_set in sets]
         columns = np.array(certainties, np.float64).reshape(-1, 7).T
         return cls(
@@ -315,14 +314,14 @@ class Certainty:
         judge = kernels.operator.judge
         peaks_ma = np.abs(kernels.kernels).max(axis=1)
         error = _HALF_AMPLITUDE_MA / peaks_ma
-        # The peak of a kernel is at most its total current.
+        # A peak is at most the total current of its kernel, so `most_ma` also bounds the peaks.
         peak_ma = min(most_ma, float(aim * peaks_ma.sum())) + len(peaks_ma) * _HALF_AMPLITUDE_MA
         running_ma = _HALF_UA_MA + peak_ma * _HALF_WEIGHT
         rows = judge.target[kernels.sites]
         at_targets = rows @ kernels.kernels.T
         own_af = np.diag(at_targets)
         against = np.minimum(at_targets - np.diag(own_af), 0)
-        # Relative to its level, a faint point suffers more from the kernels of stronger points.
+        # Kernels of stronger points weaken a faint point more, relative to its level.
         least = own_af + against.sum(axis=1) / faintest
         lost = own_af * error - against @ error
         lost += running_ma * np.abs(np.diff(rows, axis=1)).sum(axis=1)
@@ -348,7 +347,7 @@ class Certainty:
             return np.asarray(np.where(weakest > 0, upper_bound / np.maximum(weakest, 0), np.inf))
 
     def least(self, bounds: FrameBounds) -> float:
-        """Return the smallest intensity from which the bounds hold; infinite if they never do."""
+        """Return the intensity from which on all bounds hold; infinite if they never hold."""
         bounds_column = np.array([[bounds.other], [bounds.spill]])
         room = bounds_column * self.target - self.reached
         needed = self.rounding + bounds_column * self.lost
@@ -358,13 +357,13 @@ class Certainty:
 
 
 def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
-    """Return sets of a grid's sites, by row and column modulo a step. Raises DesignError if the
-    array is not a grid."""
+    """Return sets of sites whose rows and columns are equal modulo ``step``. Raises DesignError if
+    the array is not a grid."""
     array, driven = operator.judge.profile.electrodes, operator.judge.profile.driven
     x, column = np.unique(array.position_mm[:, 0].round(6), return_inverse=True)
     y, row = np.unique(array.position_mm[:, 1].round(6), return_inverse=True)
     if len(x) * len(y) != len(array):
-        message = "color classes need a grid: give the sites of each set yourself"
+        message = "the array is not a grid: choose the sites of each set yourself"
         raise DesignError(message)
     color = (row % step) * step + column % step
     sets = (driven[color[driven] == color_index] for color_index in range(step * step))
@@ -372,15 +371,15 @@ def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
 
 
 def provable(profile: Profile) -> bool:
-    """Return whether the array is a grid and small enough to prove sets."""
+    """Return whether the array is a grid and small enough to prove sets of independent sites."""
     return profile.array.layout == "grid" and len(profile.electrodes) <= MOST_PROVED
 
 
 def proved_sets(judge: FrameJudge, bounds: FrameBounds) -> list[SharedKernels]:
-    """Return a small number of sets of independent sites: all their subsets keep the bounds.
+    """Return a few sets that contain all sites, each independent: all its subsets keep the bounds.
 
-    Targets are weakened by `AIM`. Limits of electrodes are checked, the total current is not. The
-    list is empty if the array is too large or not a grid, or if nothing could be proved.
+    Targets are weakened by `AIM`. Limits of electrodes are checked; the total current is not. The
+    list is empty if the array is too large or not a grid, or if no sets could be proved.
     """
     if not provable(judge.profile):
         return []

@@ -1,7 +1,7 @@
 """Kernels for boards that switch one current source: each electrode is cathode, anode or insulated.
 
 The current divides among the electrodes of a pole by their admittance. One pole is always a single
-electrode: of several, the last one to touch the skin would carry all current.
+electrode. With several, one would carry all current if the others lost contact.
 """
 
 from collections.abc import Callable
@@ -19,9 +19,9 @@ _RING_PITCHES = 1.5  # radius of a ring: eight neighbors on a square grid, six o
 
 
 def polarity(profile: Profile, afferent: Afferent) -> str:
-    """Return the polarity of the electrode over a target (Fig. 10): cathodic for flat axons (SAI,
-    PC), anodic for rising ones (RA), but cathodic for those, too, if the ending of the axon can
-    fire."""
+    """Return the polarity of the electrode over a target (Fig. 10): anodic for upright axons (RA)
+    with a passive ending, cathodic for upright axons whose ending can fire and for horizontal axons
+    (SAI, PC)."""
     anodic = afferent is Afferent.RA and profile.skin.ra_ending == "passive"
     return "anodic" if anodic else "cathodic"
 
@@ -60,8 +60,8 @@ def design_kernel(
     site : int
         Electrode over the target.
     model : {"activating", "paper"}
-        "paper" is the paper's program (Eq. 16 to 18), for boards with a current for each
-        electrode: it does not bound the activation of the target's class elsewhere.
+        "paper" is the paper's linear program (Eq. 16 to 18), which does not bound spill. It is for
+        boards with a current source for each electrode.
 
     Raises
     ------
@@ -86,8 +86,8 @@ def design_three_state(problem: Problem, site: int) -> Kernel:
     """Return the kernel of one electrode against its ring, with all others insulated (paper, Fig.
     19), or against all others.
 
-    Kernels that keep the limits come first, then the more selective one. If no electrode is near
-    enough, the ring consists of the nearest ones.
+    A kernel that keeps the limits is preferred, then the more selective one. The ring reaches
+    `_RING_PITCHES` or, if there is no electrode so near, to the nearest ones.
     """
     problem.check_site(site)
     away_mm = problem.profile.electrodes.distance_mm[site]
@@ -115,8 +115,8 @@ def design_one_of_n(problem: Problem, site: int) -> Kernel:
 
 
 def _against(problem: Problem, site: int, others: NDArray[np.intp], kind: KernelKind) -> Kernel:
-    """Return the kernel of a site's electrode against others, which share the current by
-    admittance."""
+    """Return the kernel of a site's electrode against ``others``, which share the current in
+    proportion to their admittance."""
     admittance = problem.profile.admittance
     pole = -1.0 if polarity(problem.profile, problem.afferent) == "anodic" else 1.0
     weights = np.zeros(problem.electrodes)

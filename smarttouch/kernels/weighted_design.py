@@ -1,12 +1,12 @@
-"""Optimal kernels by the paper's min–max program, with a bound on spill.
+"""Design of optimal kernels by the paper's min–max program, with a bound on spill.
 
 For a target node with activating-function row a, and rows A of all other afferents (Eq. 10 to 18)::
 
     minimize t   such that   A w ≤ t,   a·w = 1,   Σw = 0
 
-and no node of the target's axon above 1 (Eq. 11). Beyond the paper, spill is at most `SPILL`: on a
-grid the paper's program alone lets neighbors of the same class nearly fire. Of all patterns with t
-within `GIVEN_UP` of the minimum, the one with the least spill is chosen.
+and such that the activation of no other node of the target's axon exceeds 1 (Eq. 11). The bound
+`SPILL` is not in the paper: without it, on a grid, neighbors of the same class nearly fire. Of all
+patterns with t within `GIVEN_UP` of the minimum, the one with the least spill is chosen.
 """
 
 import numpy as np
@@ -21,8 +21,8 @@ SPILL = 0.2  # largest activation of the same class beyond one pitch, relative t
 GIVEN_UP = 0.03
 """Relative increase of off-target that is allowed in order to reduce spill."""
 _WORTHWHILE = 1e-6
-_SEARCHED_MM = 0.5  # spacing of the nodes that are tried as target
-_LOOSE_ROWS = 40  # violated rows without a lattice that are added per round
+_SEARCHED_MM = 0.5  # spacing of the nodes that `design_any_node` tries as target
+_LOOSE_ROWS = 40  # most rows of spill and Eq. 11 that are added per round
 
 
 def design_kernel(
@@ -36,24 +36,24 @@ def design_kernel(
     """Design the weighted kernel of one site.
 
     Raises DesignError if the limits allow none. Of all kernels whose off-target is within
-    `given_up` (relative) of the minimum, the one with the least spill is chosen; with 0, off-target
-    alone is minimized.
+    `given_up` (relative) of the minimum, the one with the least spill is chosen; with 0, only
+    off-target is minimized.
 
     Ties are broken by symmetry, then by total current, then by the distance of currents from the
     site and from the array's middle, so the result does not depend on the solver.
 
-    `spill` bounds the activation of the same class beyond one pitch. If electrodes stand closer
-    than afferents lie deep, it may be infeasible: then the larger of off-target and spill is
-    minimized first. None means no bound, as in the paper. No electrode carries more than a thousand
-    times the current that would fire the target alone. Node 0 of the target's axon is under the
-    electrode.
+    `spill` bounds the activation of the same class beyond one pitch; None means no bound, as in the
+    paper. The bound can be infeasible if the pitch is smaller than the depth of afferents. Then the
+    larger of off-target and spill is minimized first. No electrode carries more than a thousand
+    times the current with which the best single electrode fires the target. Node 0 of the target's
+    axon is under the electrode.
     """
     problem.check_site(site)
-    rows = _Assembled(problem, site, spill, node)
+    rows = _ProgramBuilder(problem, site, spill, node)
     if spill is None:
         ways = [False]
     else:
-        # The spill of PC can hardly ever be bounded, so try the other program first.
+        # For PC the bound is rarely feasible: first minimize the larger of off-target and spill.
         ways = [True, False] if problem.afferent is Afferent.PC else [False, True]
     program = rows.program(ways[0], options)
     best = program.most_selective()
@@ -83,8 +83,8 @@ def design_kernel(
 
 
 def design_any_node(problem: Problem, site: int) -> Kernel:
-    """Return the best kernel over all target nodes of a site's axon (Eq. 13 to 15). On fine
-    lattices nodes about `_SEARCHED_MM` apart are tried."""
+    """Return the best kernel over all target nodes of a site's axon (Eq. 13 to 15). If nodes are
+    denser than `_SEARCHED_MM`, try only nodes about that far apart."""
     problem.check_site(site)
     nodes = problem.axon_mm(site)
     away = np.linalg.norm(nodes - nodes[0], axis=1) / _SEARCHED_MM
@@ -105,9 +105,9 @@ def design_any_node(problem: Problem, site: int) -> Kernel:
     return design_kernel(problem, site, SPILL, best)
 
 
-class _Assembled:
-    """Linear program of one site; rows are relative to the largest AF of a single electrode at the
-    target."""
+class _ProgramBuilder:
+    """Builder of the linear programs of one site. Rows are relative to the AF at the target from
+    the electrode that activates it most."""
 
     def __init__(self, problem: Problem, site: int, spill: float | None, node: int) -> None:
         self._problem, self._site = problem, site
@@ -117,7 +117,7 @@ class _Assembled:
         far = np.flatnonzero(far)
         axon, scale = problem.axon(site), float(np.abs(problem.target[site]).max())
         aim = axon[node] if node else problem.target[site]
-        # Eq. 11: no other node of the target's axon may fire first.
+        # Eq. 11: no other node of the axon is activated more than the target.
         eq11 = np.delete(axon, node, axis=0)
         counts = [len(problem.other), len(far), len(eq11)]
         own_too = np.isin(far, problem.coarse_own).nonzero()[0]
@@ -138,8 +138,8 @@ class _Assembled:
         self._even_bound = np.repeat([0.0, 0.0, 1.0], counts)
 
     def program(self, even: bool, options: Options | None) -> LinearProgram:
-        """Return the program that minimizes off-target with bounded spill or, if ``even``, the
-        larger of both."""
+        """Return the program that minimizes off-target with a bound on spill or, if ``even``, the
+        larger of off-target and spill."""
         slope, bound = (self._even_slope, self._even_bound) if even else (self._slope, self._bound)
         return self._of(slope, bound, options)
 
@@ -173,7 +173,7 @@ class _Assembled:
         )
 
     def limit(self, program: LinearProgram) -> bool:
-        """Bound the currents by the profile's limits; return False if there are none."""
+        """Add the profile's current limits to a program; return False if there are none."""
         reference, factors, total = self._limits()
         if np.isinf(total) and np.isinf(factors).all():
             return False
@@ -181,7 +181,7 @@ class _Assembled:
         return True
 
     def break_limits(self, program: LinearProgram) -> bool:
-        """Return whether the program's optimum, or one equal to it, may exceed the limits."""
+        """Return whether a program's optimum, or an equally good one, may exceed the limits."""
         pattern, (reference, factors, total) = program.pattern, self._limits()
         current, magnitude = float(reference @ pattern), np.abs(pattern)
         in_all = float(self.orbits.sum(axis=0) @ magnitude)
@@ -193,15 +193,15 @@ class _Assembled:
         )
 
     def _limits(self) -> tuple[Array, Array, float]:
-        """Return the row that selects the site's electrode, and the limits as multiples of its
-        current."""
+        """Return the row that selects the current of the site's electrode, and the limits of each
+        unknown and of the total as multiples of this current."""
         total, electrode = limits_ma(self._problem.profile)
         site, full = self._site, self._problem.full_ma(self._site)
         reference = np.sign(self._problem.target[site, site]) * self.orbits[site]
         factors = np.where(self.orbits > 0, electrode[:, None], np.inf).min(axis=0) / full
-        # The site's electrode carries its full current, which the profile limits.
+        # The site's electrode carries the comfort level, which the profile keeps within limits.
         factors[self.orbits[site].argmax()] = np.inf
-        # Cathodes carry half of the sum of magnitudes.
+        # The total is that of cathodes, which carry half of the sum of magnitudes.
         return reference, factors, 2 * total / full
 
 
