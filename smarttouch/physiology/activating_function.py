@@ -52,8 +52,8 @@ class Field(NamedTuple):
 def around_axis(
     x: Array, y: Array, potential: Array, zz: Array, around: Array, slanted: Array
 ) -> Field:
-    """Return the cathodic field for an anodic potential Φ with symmetry about the z axis. Arguments
-    are Φ, ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r, all finite on the axis."""
+    """Return the cathodic field of an anodic potential Φ that is symmetric about the z axis.
+    Arguments after x and y: Φ, ∂²Φ/∂z², (∂Φ/∂r)/r, (∂²Φ/∂r∂z)/r, all finite on the axis."""
     r2 = x * x + y * y
     # ∂²Φ/∂r² follows from Laplace's equation; on the axis it equals (∂Φ/∂r)/r.
     stretch = np.divide(-zz - 2 * around, r2, out=np.zeros_like(r2), where=r2 > 1e-12)
@@ -64,10 +64,10 @@ def around_axis(
 
 
 def line_in_plane(x: Array, depth: float | Array) -> Field:
-    """Return the field, per ρI/2πL, of a line source in the paper's two-dimensional medium.
+    """Return the field of a line source in the paper's two-dimensional medium, relative to ρI/2πL.
 
-    Eq. 3 to 5: Φ = −log R, ∂²Φ/∂x² ∝ (y² − x²) / (x² + y²)² with y the depth; Φ has no unit and an
-    arbitrary constant, derivatives are in 1/mm². L is the line's length.
+    L is the length of the line. Eq. 3 to 5: Φ = −log R, ∂²Φ/∂x² ∝ (y² − x²) / (x² + y²)² at depth
+    y. Φ has no unit and an arbitrary constant; derivatives are in 1/mm².
     """
     r2 = x * x + depth * depth
     xx = (depth * depth - x * x) / r2**2
@@ -88,10 +88,10 @@ def point(x: Array, y: Array, depth: float | Array) -> Field:
 def disc(x: Array, y: Array, depth: float | Array, radius: float) -> Field:
     """Return the field of an equipotential disc of radius a (Weber's disc).
 
-    Its potential equals that of point sources distributed evenly along an imaginary line: Φ =
-    1/(2a) ∫ ds / √(r² + (z + is)²) over −a..a, or Φ = arcsin(2a / (√((r−a)²+z²) + √((r+a)²+z²))) /
-    a (Wiley and Webster 1982). With ζ = z + ia and S = √(r² + ζ²) its derivatives are ∂²Φ/∂z² =
-    −Im(ζ/S³)/a, (∂Φ/∂r)/r = Im(1/(S(ζ + S)))/a and (∂²Φ/∂r∂z)/r = −Im(1/S³)/a.
+    Its potential equals that of point sources evenly distributed along an imaginary line: Φ =
+    1/(2a) ∫ ds / √(r² + (z + is)²) for s from −a to a, which is arcsin(2a / (√((r−a)²+z²) +
+    √((r+a)²+z²))) / a (Wiley and Webster 1982). With ζ = z + ia and S = √(r² + ζ²) its derivatives
+    are ∂²Φ/∂z² = −Im(ζ/S³)/a, (∂Φ/∂r)/r = Im(1/(S(ζ + S)))/a and (∂²Φ/∂r∂z)/r = −Im(1/S³)/a.
     """
     r2 = x * x + y * y
     zeta = depth + 1j * radius
@@ -140,12 +140,12 @@ def annulus_potential(r: Array, depth: float | Array, outer: float, inner: float
 def _discs_of_annulus(
     depth: float | Array, outer: float, inner: float
 ) -> list[tuple[float, float]]:
-    """Return shares and radii of equipotential discs whose sum is an annulus of uniform density.
+    """Return shares and radii of equipotential discs that add up to an annulus of uniform density.
 
     A disc of radius b with uniform density is the mean, over angles φ from 0 to π/2, of 2 sin²φ
-    times Weber's disc of radius b sin φ, because the integral of t dt / √((b² − t²)(t² − s²)) over
-    s..b is π/2 for every s. The error of the midpoint rule with n angles is about exp(−4n
-    arsinh(z/b)).
+    times an equipotential disc of radius b sin φ: the integral of t dt / √((b² − t²)(t² − s²)) for
+    t from s to b is π/2 for every s. The mean is computed by the midpoint rule. With n angles its
+    error is about exp(−4n arsinh(z/b)).
     """
     discs: list[tuple[float, float]] = []
     for radius, sign in ((outer, 1.0), (inner, -1.0)):
@@ -159,9 +159,9 @@ def _discs_of_annulus(
 def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: float) -> Field:
     """Return the field of a rectangle with uniform current density and sides along x and y.
 
-    The integral of 1/R over a rectangle is a sum over its corners of u ln(v + R) + v ln(u + R) − z
-    arctan(uv/zR); its second derivatives are algebraic (Durand 1964; in gravimetry the potential of
-    a rectangular lamina).
+    The integral of 1/R over a rectangle is a sum over its corners of u ln(v + R) + v ln(u + R) −
+    z arctan(uv/zR), with algebraic second derivatives (Durand 1964). In gravimetry it is known as
+    the potential of a rectangular lamina.
     """
     total = [np.zeros(np.broadcast(x, y).shape) for _ in range(6)]
     z2 = depth * depth
@@ -188,8 +188,8 @@ def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: fl
 
 
 _MARGIN_PITCHES = {"plane": 2.0}
-"""Margin around the electrodes in which nodes are considered, in pitches; 2 gives the paper's −5..5
-mm."""
+"""Margin around the electrodes within which nodes are considered, in pitches, where it is not 1. In
+the plane, 2 gives the paper's range of −5 to 5 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +207,7 @@ class Afferents:
         if not self.depth_mm > 0:
             raise DesignError(
                 f"a {self.afferent.name} fiber at a depth of {self.depth_mm:g} mm lies outside "
-                "the skin: depths are measured below the surface, above 0"
+                "the skin: give a depth below the surface, above 0"
             )
 
 
@@ -217,15 +217,15 @@ def depth_mm(skin: Skin, afferent: Afferent) -> float:
 
 
 def directions(skin: Skin, afferent: Afferent) -> NDArray[np.float64]:
-    """Return the axon directions of a class, (D, 3): RA axons rise, SAI and PC axons are horizontal
-    (Fig. 7)."""
+    """Return the axon directions of a class, (D, 3): RA axons are upright, SAI and PC axons are
+    horizontal (Fig. 7)."""
     if afferent is Afferent.RA:
         return np.array([[0.0, 0.0, 1.0]])
     return flat_directions(skin.sai_angles_deg)
 
 
 def flat_directions(angles_deg: tuple[float, ...]) -> NDArray[np.float64]:
-    """Return horizontal unit vectors, (D, 3); angles count from x toward y."""
+    """Return horizontal unit vectors, (D, 3); angles are measured from x toward y."""
     radians = np.radians(angles_deg)
     return np.column_stack([np.cos(radians), np.sin(radians), np.zeros(len(radians))])
 
@@ -241,10 +241,10 @@ def targets(profile: Profile, afferent: Afferent) -> Afferents:
 
 
 def everywhere(profile: Profile, afferent: Afferent) -> Afferents:
-    """Return the nodes of a class all over the array, in all directions."""
+    """Return the nodes of a class in the region around the array, with all axon directions."""
     spacing = profile.skin.node_spacing_mm
     if profile.skin.medium == "plane" and afferent is Afferent.RA:
-        # RA axons are one pitch apart, as in the paper, whatever the node spacing of SAI and PC.
+        # As in the paper, RA axons are one pitch apart; the node spacing is that of SAI and PC.
         spacing = profile.electrodes.pitch_mm
     position, grid = _lattice(profile, spacing)
     skin = profile.skin
@@ -256,14 +256,14 @@ def everywhere(profile: Profile, afferent: Afferent) -> Afferents:
 
 def along_axon(profile: Profile, afferent: Afferent, site: int) -> tuple[Afferents, ...]:
     """Return the nodes of the axon under a site, one set for each depth, the node under the
-    electrode first. A rising axon has nodes below its ending, a horizontal one on both sides."""
+    electrode first. An upright axon continues downward, a horizontal one to both sides."""
     center = profile.electrodes.position_mm[site]
     skin, first = profile.skin, targets(profile, afferent)
     direction = first.direction[0]
     spacing = skin.node_spacing_mm
     sets: list[tuple[NDArray[np.float64], float, str | None]]
     if direction[2] == 0:
-        # Same region as for the nodes of other axons.
+        # Keep to the region of `everywhere`.
         reach_mm = _reach_mm(profile) + 1e-9
         steps = np.arange(1, int(2 * reach_mm.max() / spacing) + 1) * spacing
         away = np.concatenate([[0.0], steps, -steps])
@@ -285,7 +285,7 @@ def _ending(skin: Skin, afferent: Afferent) -> str | None:
 
 
 def _reach_mm(profile: Profile) -> NDArray[np.float64]:
-    """Return the largest distance of considered nodes from the array's middle, (2,) mm."""
+    """Return half the width and height of the region in which nodes are considered, (2,) mm."""
     electrodes = profile.electrodes
     margin = _MARGIN_PITCHES.get(profile.skin.medium, 1.0) * electrodes.pitch_mm
     return np.asarray(np.abs(electrodes.position_mm).max(axis=0) + margin)
@@ -309,8 +309,8 @@ def field_at(
 ) -> tuple[Field, float]:
     """Return the field of each electrode, (N, E), and the factor that converts it to V/mA.
 
-    Points are (N, 2) mm, at one depth or at depths (N, 1). The factor converts second derivatives
-    to V/mm² per mA.
+    Points are (N, 2) mm along the skin, at one depth or at depths (N, 1). The same factor converts
+    second derivatives to V/mm² per mA.
     """
     if len(electrodes.kinds) > 1:
         return _field_of_kinds(electrodes, skin, position_mm, depth_mm)
@@ -342,7 +342,7 @@ def _field_of_kinds(
     field = Field(*np.zeros((len(Field._fields), len(position_mm), len(electrodes))))
     scale = 1.0
     for (shape, size_mm), which in electrodes.kinds.items():
-        # An array needs two electrodes; the column of the second is dropped.
+        # An ElectrodeArray needs two electrodes: add a second one, and drop its column.
         places = electrodes.position_mm[which]
         if len(which) == 1:
             places = np.vstack([places, places + electrodes.pitch_mm])
@@ -356,10 +356,10 @@ def _field_of_kinds(
 def af_matrix(
     profile: Profile, afferents: Afferents, skin: Skin | None = None
 ) -> NDArray[np.float64]:
-    """Return the AF at nodes, (D·N, E), V/mm² per mA of cathodic current, direction by direction.
+    """Return the AF at nodes, (D·N, E), V/mm² per mA of cathodic current; N rows per direction.
 
-    Positive values depolarize (Eq. 8 and 9). At an active ending the AF is the current from the
-    only neighbor, one internode away (McNeal's end node), instead of the second derivative.
+    Positive values depolarize (Eq. 8 and 9). An active ending has one neighbor (McNeal's end node):
+    its AF is the potential difference to this neighbor over the squared internode.
     """
     skin = skin or profile.skin
     here, scale = field_at(profile.electrodes, skin, afferents.position_mm, afferents.depth_mm)

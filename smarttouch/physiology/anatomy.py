@@ -18,17 +18,17 @@ class ClassAnatomy(Table):
     """Anatomy of the afferents of one class."""
 
     density_per_cm2: float = Field(ge=0, le=1000)
-    """Axons per area at the fingertip."""
+    """Number of axons per cm² of the fingertip."""
     fiber: Literal["fingertip", "trunk", "mrg"] = "fingertip"
-    """Name of the fiber model with their driving function."""
+    """Fiber model whose driving function is used: a name in `membrane.FIBERS`."""
     diameter_factor: Positive = 1.0
-    """Diameter relative to the fiber model; internodes scale with it."""
+    """Fiber diameter relative to that of the model; internodes are longer by the same factor."""
     ending: Literal["through", "active", "passive"] = "passive"
-    """Kind of their endings; "through" if the axon cannot fire at the receptor."""
+    """Kind of the endings, as in `Fiber`; "through" if the axon cannot fire at the receptor."""
     depth_mm: Positive | None = None
-    """Depth of the endings or of a horizontal axon; from the profile if not given."""
+    """Depth of the endings or of a horizontal axon; by default that of the profile."""
     depth_spread_mm: float = Field(default=0.05, ge=0, le=1)
-    """Standard deviation of depth between axons (our assumption)."""
+    """Standard deviation of the depth of axons (our assumption)."""
     on_ridges: bool = False
     """Whether endings lie under papillary ridges."""
     endings: int = Field(default=1, ge=1, le=50)
@@ -36,20 +36,20 @@ class ClassAnatomy(Table):
     branch_spread_mm: float = Field(default=0.0, ge=0, le=10)
     """Standard deviation of the places of an axon's endings, along x and along y."""
     plexus_mm: Positive | None = None
-    """Depth at which branches join and the axon turns horizontal; depth of the ending if not
-    given."""
+    """Depth at which branches join and the axon turns horizontal; by default the depth of the
+    endings."""
     receptor_above_mm: float = Field(default=0.0, ge=0, le=1)
     """Height of the endings above the horizontal part of the axon."""
     flat_mm: float = Field(default=0.0, ge=0, le=30)
     """Length of the horizontal part of an axon."""
     flat_deg: float = Field(default=90.0, ge=-360, le=360)
-    """Direction of the horizontal part, from x toward y; 90 is toward the palm."""
+    """Direction of the horizontal part, measured from x toward y; 90 points to the palm."""
     flat_spread_deg: float = Field(default=30.0, ge=0, le=180)
-    """Standard deviation of the direction (our assumption)."""
+    """Standard deviation of `flat_deg` between axons (our assumption)."""
     descent_mm: float = Field(default=0.0, ge=0, le=20)
-    """Length of the descending part after the horizontal one."""
+    """Length of the part that descends after the horizontal part."""
     bend_mm: float = Field(default=0.5, ge=0, le=5)
-    """Length over which bends are rounded (our assumption): sharp bends would fire first."""
+    """Length over which bends are rounded (our assumption). Otherwise bends would fire first."""
     lean_deg: float = Field(default=0.0, ge=0, le=60)
     """Standard deviation of the inclination of an upright part from the vertical."""
     threshold_spread: float = Field(default=0.2, ge=0, le=2)
@@ -83,7 +83,7 @@ class Anatomy(Table):
     tip_mm: Positive = 20.0
     """Distance from the end of the finger up to which the density is that of the fingertip."""
     beyond_tip: float = Field(default=1.6 / 4.2, ge=0, le=1)
-    """Density beyond it, relative to the fingertip (Johansson and Vallbo 1979: 1.6 to 4.2)."""
+    """Density beyond `tip_mm`, relative to the tip (1.6 to 4.2, Johansson and Vallbo 1979)."""
     margin_mm: float = Field(default=3.0, ge=0, le=20)
     """Margin of skin around the electrodes."""
     ra: ClassAnatomy
@@ -95,8 +95,8 @@ class Anatomy(Table):
 
 
 def load_anatomy(name: str | Path) -> Anatomy:
-    """Load a shipped anatomy by name, or any anatomy from a TOML file. Raises ProfileError if it is
-    invalid."""
+    """Load a shipped anatomy by name, or an anatomy from a TOML file. Raises ProfileError if it is
+    invalid or missing."""
     known = sorted(path.stem for path in _SHIPPED.glob("*.toml"))
     if str(name) in known:
         return load_model(_SHIPPED / f"{name}.toml", Anatomy, name=str(name))

@@ -1,5 +1,5 @@
-"""Simulated finger under an array: random afferents from an anatomy, and their drives by each
-electrode."""
+"""Simulated finger under an array: random afferents drawn from an anatomy, and how strongly each
+electrode drives them."""
 
 import math
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Population:
     receptor_mm: Array  # (A, 2) mean place of each afferent's endings
     axon_path_mm: Array  # (B, P, 3) corners of each branch, ending first; z is depth
     owner: NDArray[np.intp]  # (B,) afferent of each branch
-    factor: Array  # (A,) threshold relative to the class
+    factor: Array  # (A,) threshold relative to the fiber model's
     anatomy: ClassAnatomy
 
 
@@ -92,7 +92,7 @@ class Finger:
         Array and skin, or the name or file of the profile. x points right, y from the fingertip
         toward the palm, z into the skin.
     seed : int
-        Seed of everything that differs between fingers.
+        Seed of the random properties of the finger: places, depths, paths and thresholds.
     anatomy : str, Path or Anatomy
         "branched", "paper", a TOML file, or the anatomy itself.
 
@@ -126,13 +126,13 @@ class Finger:
         }
 
     def feel(self, given: Any, seed: int = 1) -> "Feeling":
-        """Return the finger's response to a step, a scan sequence, or several in order.
+        """Return the finger's response to a step, a scan sequence, or several of these in order.
 
         Parameters
         ----------
         given : Step, StepResult, ScanSequence, or iterable of these
         seed : int
-            Seed of the noise from pulse to pulse.
+            Seed of the random changes of thresholds from pulse to pulse.
         """
         from smarttouch.physiology.spikes import feel
 
@@ -164,11 +164,11 @@ class Finger:
 
     @cached_property
     def rows(self) -> tuple[Floats, NDArray[np.intp]]:
-        """Drives of nodes that currents within the limits can fire, (N, E), and starts, (A,).
+        """Drives of all nodes that currents within the limits can fire, (N, E), and starts, (A,).
 
-        A drive, float32 1/mA, is for 1 mA of cathodic current with the profile's pulse; at
-        threshold the sum is 1. Nodes of afferent i begin at ``starts[i]``. Each afferent has at
-        least one row, which may be zero.
+        A drive, float32 1/mA, is the effect of 1 mA of cathodic current with the profile's pulse. A
+        node fires if drives times currents, mA, add up to 1. The rows of afferent i begin at
+        ``starts[i]``. Each afferent has at least one row; it is zero if no node can fire.
         """
         row_parts, starts, count = [], [], 0
         for one in self.populations.values():
@@ -199,7 +199,7 @@ class Finger:
         turn = np.radians(random.normal(anatomy.flat_deg, anatomy.flat_spread_deg, count))[owner]
         lean = np.tan(np.radians(random.normal(0, anatomy.lean_deg, (count * endings, 2))))
         joint = receptor[owner]
-        course = self._courses(anatomy, ending, joint, depths, turn, lean)
+        course = self._corners(anatomy, ending, joint, depths, turn, lean)
         factor = np.exp(random.normal(0, anatomy.threshold_spread, count))
         factor *= anatomy.threshold_factor
         middle = ending.reshape(count, endings, 2).mean(axis=1)
@@ -215,14 +215,14 @@ class Finger:
         there = ~beyond | (random.random(count) < self.anatomy.beyond_tip)
         return np.asarray(position_mm[there])
 
-    def _courses(
+    def _corners(
         self, anatomy: ClassAnatomy, ending: Array, joint: Array, depth: Array, turn: Array,
         lean: Array,
     ) -> Array:  # fmt: skip
-        """Return the corners of each branch, (B, P, 3): ending, foot, joint, and end of the
-        horizontal part.
+        """Return the corners of each branch, (B, P, 3): ending, end of the upright part, joint of
+        the branches, and end of the horizontal part.
 
-        Descending axons have one more corner below.
+        Axons with a descending part have one more corner at its end.
         """
         top = np.maximum(depth - anatomy.receptor_above_mm, _SHALLOWEST_MM)
         plexus = np.maximum(anatomy.plexus_mm or 0.0, depth)
@@ -243,25 +243,25 @@ class Finger:
         first = np.r_[True, np.diff(owner) > 0] if len(owner) else np.zeros(0, np.bool_)
         drives = [np.zeros((0, len(self.profile.electrodes)), np.float32)]
         branches = [np.zeros(0, np.intp)]
-        # The first branch continues along the axon; the others end where they join it.
+        # The first branch of an axon continues along it; the others end at their joint with it.
         for which, corners in ((first, population.axon_path_mm.shape[1] - 1), (~first, 2)):
             # Sort by length: each batch is padded to its longest branch.
             order = np.argsort(axon_path_length_mm(population.axon_path_mm, corners), kind="stable")
             indices = order[which[order]]
             for part in np.array_split(indices, max(1, len(indices) // _AT_ONCE)):
                 if len(part):
-                    rows, branch = self._part(population, driving, part, corners)
+                    rows, branch = self._drives_of_branches(population, driving, part, corners)
                     drives.append(rows)
                     branches.append(branch)
         branch = np.concatenate(branches)
         order = np.argsort(branch, kind="stable")
         return np.concatenate(drives)[order], owner[branch[order]]
 
-    def _part(
+    def _drives_of_branches(
         self, population: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
     ) -> tuple[Floats, NDArray[np.intp]]:
-        """Return the drives of the nodes of some branches, up to a corner, and the afferent of
-        each."""
+        """Return the drives of the nodes of some branches, up to a corner, and the branch of each
+        node."""
         spacing = driving.internode_mm
         length_mm = axon_path_length_mm(population.axon_path_mm[part], corners)
         nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1
@@ -272,28 +272,28 @@ class Finger:
         drive /= population.factor[population.owner[part]][:, None, None]
         longest = strength(self.profile.limits.pulse_us, population.anatomy.chronaxie_us)
         longest /= strength(self.profile.pulse.width_us, population.anatomy.chronaxie_us)
-        # Nodes beyond the end only serve as neighbors.
+        # Nodes beyond the end of a branch only serve as neighbors of its last nodes.
         node = np.arange(drive.shape[1]) + (driving.end != "active")
         there = node * spacing <= length_mm[:, None] + spacing
         rows, branch = drive[there], np.repeat(part, there.sum(axis=1))
-        can = self._most(rows) * max(longest, 1.0) >= 1 - 5 * population.anatomy.noise
+        can = self._largest_drive(rows) * max(longest, 1.0) >= 1 - 5 * population.anatomy.noise
         return rows[can].astype(np.float32), branch[can]
 
-    def _most(self, rows: Array) -> Array:
-        """Return the largest drive by currents within the profile's limits, (N,).
+    def _largest_drive(self, rows: Array) -> Array:
+        """Return the largest drive of each node, (N,), by currents within the profile's limits.
 
-        Currents sum to zero; each current and the sum of anodes are limited.
+        Currents sum to zero; each current and the sum of anodic currents are limited.
         """
         limits = self.profile.limits
         ranked = np.sort(rows, axis=1)
         limit_ma = float(limits.current_ma)
         total = float(limits.total_ma or np.inf)
         share = np.clip(total - limit_ma * np.arange(rows.shape[1]), 0, limit_ma)
-        # Pair the largest with the smallest, the second with the second smallest, and so on;
-        # negative gains are left out.
+        # Pair the electrode of the largest drive with that of the smallest, then the second with
+        # the second smallest, and so on. Pairs that would lower the drive get no current.
         return np.asarray(np.maximum(ranked[:, ::-1] - ranked, 0) @ share)
 
 
 def strength(width_us: Any, chronaxie_us: Any) -> Any:
-    """Return the effect of a pulse width relative to an infinitely long pulse (Weiss 1901)."""
+    """Return the effect of a pulse of this width, relative to an endless pulse (Weiss 1901)."""
     return 1 / (1 + chronaxie_us / np.maximum(width_us, 1.0))

@@ -25,16 +25,17 @@ _LEAK_PER_US = 128.0 / _NODE_UF_PER_CM2 / 1000
 _SODIUM_MV = 115.0
 _AXOPLASM_OHM_CM = 54.7  # Sweeney et al. 1987
 _BARE_UF_PER_CM2, _BARE_MS_PER_CM2 = 1.0, 1.0  # unmyelinated membrane, textbook values
-_RATES_HOLD_MV = 200.0  # gates are saturated there; avoids overflow of exp()
+_RATES_HOLD_MV = 200.0  # gates saturate beyond; avoids overflow of exp()
 
 _PADDING = 12  # nodes added beyond the last one
-_WATCHED = -5  # the padding node that must fire
+_WATCHED = -5  # padding node whose spike counts as firing of the fiber
 _FIRED_MV = 80.0
-_QUIET_MV = 10.0  # below it the leak exceeds sodium, even with all h gates open,
-_SETTLED_US = 100.0  # after the m gates have settled (12 µs)
+# Once the m gates have settled (12 µs), a fiber below 10 mV stays silent: its leak current exceeds
+# the sodium current, even with all h gates open.
+_QUIET_MV, _SETTLED_US = 10.0, 100.0
 _FLOOR_MA, _CEILING_MA = 1e-4, 1000.0
-# Currents tried in each round, down to 0.1 %. Many at first, as strong cathodes block: a fiber may
-# fire only from its threshold to three times that.
+# Number of currents tried in each round; the last is within 0.1 %. The first round tries many, as
+# strong cathodic currents block spikes: some fibers fire only up to three times their threshold.
 _ROUNDS = (71, 17, 17)
 _PATIENCE_US = 20_000.0  # longest wait after the pulse; a spike takes about 10 µs per node
 
@@ -56,8 +57,8 @@ class Fiber:
     end: Literal["passive", "active", "through"] = "passive"
     # Membrane area of a passive terminal with 1 µF/cm² and 1 mS/cm². Our estimate: 0.5 mm of
     # neurite 2 µm thick, coiled in a corpuscle about 100 µm long and 60 µm wide. The area decides
-    # which polarity fires a rising fiber. With the defaults, a pulse of 200 µs and a depth of 0.7
-    # mm, the cathode has the lower threshold below about 1250 µm².
+    # which polarity fires an upright fiber. With the defaults, a pulse of 200 µs and a depth of 0.7
+    # mm, the cathodic threshold is the lower one below about 1250 µm².
     terminal_um2: float = 3000.0
 
     def __post_init__(self) -> None:
@@ -65,7 +66,7 @@ class Fiber:
         if min(sizes) <= 0 or not 0 < self.axon_ratio <= 1:
             raise ValueError(f"sizes of a fiber must be positive, and axon_ratio at most 1: {self}")
         if self.end not in ("passive", "active", "through"):
-            raise ValueError(f"end is {self.end!r}: not passive, active or through")
+            raise ValueError(f"end {self.end!r} is unknown: choose passive, active or through")
 
     @property
     def coupling_per_us(self) -> float:
@@ -75,13 +76,13 @@ class Fiber:
 
 
 class Axon:
-    """Fiber in one or several fields, stepped in time under many currents at once.
+    """Simulation of a fiber in one or several fields, with many currents at once.
 
     A time step is split (Strang): half a step of the membranes, a step of axial current, half a
     step of the membranes. Each part is exact; gates are half a step ahead. The fiber continues
     beyond the last node, in a field without curvature. Arguments are as for `threshold_ma`;
-    potentials may be (C, N) for C fields. `push`, (P,) or (C, P) mV, is the effect of 1 mA in one
-    step at each of P padded nodes.
+    potentials can be (C, N) for C fields. `push`, (P,) or (C, P) mV, is the change of membrane
+    potential by 1 mA in one step; its P nodes include the padding.
     """
 
     def __init__(self, potential_mv_per_ma: ArrayLike, fiber: Fiber, step_us: float) -> None:
@@ -105,7 +106,7 @@ class Axon:
 
         self._gates_at_rest = _gates(np.zeros(1))[1]
         m, h = self._gates_at_rest[:, 0]
-        # This leak makes 0 mV the resting potential; Sweeney's −0.01 mV is the rounded value.
+        # This leak current makes 0 mV exactly the resting potential; Sweeney's −0.01 mV is rounded.
         self._leak_current = -self._sodium * m * m * h * _SODIUM_MV
         self.step_us = step_us
 
@@ -129,8 +130,8 @@ class Axon:
         return np.zeros(size), gates.copy()
 
     def advance(self, state: tuple[Array, Array], driven_mv: Array | None) -> tuple[Array, Array]:
-        """Return the state after one step; ``driven_mv``, (A, P), is current times `push`, or
-        None."""
+        """Return the state after one step. ``driven_mv``, (A, P), is current times `push`; None
+        means no current."""
         v, gates = state
         rate, target = _gates(v)
         rate *= -self.step_us
@@ -148,7 +149,7 @@ class Axon:
 
 @lru_cache(maxsize=16)
 def _over_step(fiber: Fiber, count: int, step_us: float) -> Array:
-    """Return the matrix of one step of potentials and field, (2P, 2P)."""
+    """Return the matrix that advances potentials and field by a step of axial current, (2P, 2P)."""
     axial = Axon.passive_parts(fiber, count)[0]
     step_matrix: Array = expm(np.vstack([axial, np.zeros_like(axial)]) * step_us)
     step_matrix.setflags(write=False)
@@ -179,10 +180,10 @@ def threshold_ma(
 ) -> float:
     """Return the threshold current of a rectangular pulse, mA, within 0.1 %.
 
-    Potentials outside the nodes, (N,), mV per mA of cathodic current, begin at the ending; at the
-    last node they should be zero or linear. A fiber fires if an action potential leaves the field:
-    a node beyond the last one exceeds 80 mV. Raises DesignError if the threshold is outside 0.0001
-    to 1000 mA.
+    Extracellular potentials at the nodes, (N,), mV per mA of cathodic current, begin at the ending;
+    toward the last node they should be zero or linear. A fiber fires if an action potential leaves
+    the field, so that a node beyond the last one exceeds 80 mV. Raises DesignError if the threshold
+    is outside 0.0001 to 1000 mA.
     """
     steps = max(1, int(np.ceil(width_us / step_us - 1e-9)))
     axon = Axon(potential_mv_per_ma, fiber, width_us / steps)
@@ -225,8 +226,8 @@ def _fires(axon: Axon, driven_mv: Array, steps: int) -> NDArray[np.bool_]:
 
 
 def weiss_fit(widths_us: ArrayLike, thresholds_ma: ArrayLike) -> tuple[float, float]:
-    """Fit Weiss's law (1901), I·w = rheobase × (w + chronaxie), to relative errors; return rheobase
-    (mA) and chronaxie (µs)."""
+    """Fit Weiss's law (1901), I·w = rheobase × (w + chronaxie), by least relative squares; return
+    rheobase (mA) and chronaxie (µs)."""
     widths = np.asarray(widths_us, np.float64)
     charges = widths * np.asarray(thresholds_ma, np.float64)
     rheobase, least_charge = np.polyfit(widths, charges, 1, w=1 / charges)
@@ -242,7 +243,7 @@ FIBERS = {
     "trunk": Fiber(diameter_um=5.7, internode_mm=0.5, terminal_um2=1850.0),
     "mrg": Fiber(diameter_um=5.7, internode_mm=0.5055746, terminal_um2=1850.0),
 }
-"""Fibers by name: at the fingertip (Nolano et al. 2003), in a nerve trunk, and by the MRG model.
+"""Fibers by name: at the fingertip (Nolano et al. 2003), in a nerve trunk, and of the MRG model.
 With a terminal of 1850 µm² an upright fiber at 0.7 mm needs 1.38 times as much cathodic as anodic
 current; macaque RA afferents need 1.3 to 1.5 times (Kaczmarek 2000)."""
 
@@ -256,7 +257,7 @@ class DrivingFunction:
     along: Array  # (K + 1,) 1/mV: weights of a node and of K neighbors on each side
     near_end: Array  # (H, L) 1/mV: weights for the first H nodes; (0, 0) for "through"
     # Hyperpolarizing drive that blocks a passing spike, relative to the drive of the firing node;
-    # infinite if spikes are never blocked. Long anodic pulses block.
+    # infinite if spikes are never blocked. Long anodic pulses can block.
     block: float = np.inf
 
     def drive(self, potential_mv: Array) -> Array:
@@ -265,9 +266,9 @@ class DrivingFunction:
         return self.operator(potential_mv.shape[-2]) @ potential_mv
 
     def highest(self, potential_mv: Array) -> Array:
-        """Return the largest drive, (C,), of nodes whose spikes are not blocked.
+        """Return the largest drive, (C,), of nodes whose spikes reach the last node.
 
-        Potentials are (C, N). The drive is 0 if all are blocked on the way to the last node.
+        Potentials are (C, N). The drive is 0 if the spikes of all nodes are blocked on the way.
         """
         drive = self.drive(potential_mv[..., None])[..., 0]
         return np.asarray(np.where(passes(drive, self.block), drive, 0.0).max(axis=1))
@@ -290,7 +291,7 @@ class DrivingFunction:
 
 
 def passes(drive: Array, block: float) -> NDArray[np.bool_]:
-    """Return whether the spike of each node passes all later nodes, (C, M)."""
+    """Return whether the spike of each node passes all nodes after it, (C, M)."""
     against = np.maximum.accumulate(-drive[:, ::-1], axis=1)[:, ::-1]
     free = np.ones(drive.shape, np.bool_)
     if np.isfinite(block):
@@ -299,8 +300,8 @@ def passes(drive: Array, block: float) -> NDArray[np.bool_]:
 
 
 def bend_operator(end: End, nodes: int) -> Array:
-    """Return the matrix of second differences along a fiber, (B, N); first difference at an
-    ending."""
+    """Return the matrix of second differences along a fiber, (B, N). At an ending, its first row is
+    a first difference."""
     bends = np.diff(np.eye(nodes), 2, axis=0)
     if end == "through":
         return bends
@@ -313,8 +314,8 @@ def _shipped() -> dict[str, Any]:
 
 
 def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
-    """Return the driving function of one of `FIBERS`, interpolated over the logarithm of pulse
-    width. Raises DesignError if there is none."""
+    """Return the driving function of one of `FIBERS`, interpolated over the logarithm of the pulse
+    width. Raises DesignError if it was not fitted."""
     offered = _shipped()
     fitted: dict[str, Any] = offered.get(fiber, {}).get(end, {})
     if not fitted:
@@ -322,7 +323,7 @@ def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
             f"{name}, {ending_name}" for name, ends in offered.items() for ending_name in ends
         )
         raise DesignError(
-            f"there is no driving function of a {fiber!r} fiber with ending {end!r}: choose from "
+            f"there is no driving function of a {fiber!r} fiber with ending {end!r}: choose one of "
             f"{'; '.join(names)}"
         )
     widths = sorted(float(width) for width in fitted)

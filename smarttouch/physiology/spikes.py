@@ -14,8 +14,8 @@ from smarttouch.physiology.finger import Finger, strength
 
 Floats = NDArray[np.float32]
 
-_KNOWN = 1024  # slots whose drives are cached
-_AT_ONCE = 64  # slots whose drives are computed together: of all nodes, that takes some 40 MB
+_KNOWN = 1024  # largest number of slots whose drives are cached
+_AT_ONCE = 64  # slots whose drives are computed together, which takes about 40 MB
 _FARTHEST = 6.0
 """Distance below threshold, in standard deviations of noise, at which an afferent is assumed
 silent."""
@@ -51,8 +51,8 @@ class SpikeModel:
     """Spiking model of a finger's afferents, with thresholds, noise and refractory periods.
 
     An afferent fires in a slot if the drive of one of its nodes reaches its threshold and it did
-    not fire within the refractory period. Drives depend on pulse width by Weiss's law. The seed is
-    for the noise from pulse to pulse.
+    not fire within the refractory period. Drives depend on pulse width by Weiss's law. ``seed`` is
+    that of the noise of thresholds from pulse to pulse.
     """
 
     def __init__(self, finger: Finger, seed: int = 1) -> None:
@@ -75,7 +75,7 @@ class SpikeModel:
         self.reset()
 
     def reset(self) -> None:
-        """Reset spikes and noise; cached drives stay."""
+        """Forget all spikes and restart the noise; keep cached drives."""
         self._random = np.random.default_rng(self._seed)
         self._last_us = np.full(len(self.finger.classes), -np.inf)
         self._now_us = 0
@@ -98,7 +98,7 @@ class SpikeModel:
         return np.stack(drives, axis=1) if drives else self._computed(slots).T
 
     def _computed(self, slots: Floats) -> Floats:
-        """Return drives for slots, (S, E + 1): currents, µA, and width, µs; as (S, A)."""
+        """Return drives, (S, A). ``slots``, (S, E + 1), are currents, µA, and the width, µs."""
         nodes = slots[:, :-1] / np.float32(1000) @ self._rows.T
         by_class = strength(slots[:, -1:], self._chronaxie_us) / self._reference
         starts = self._starts
@@ -106,13 +106,13 @@ class SpikeModel:
         return np.asarray(highest * by_class.astype(np.float32)[:, self.finger.classes])
 
     def fire(self, slots: SlotCurrents, above: Floats | None = None) -> Spikes:
-        """Return the spikes of one sequence, which follows the last one. ``above`` is its `drive`,
-        if known."""
+        """Return the spikes of the sequence that follows the last one. ``above`` is the result of
+        `drive` for its slots, if known."""
         lasts = slots.width_us.astype(np.int64) + slots.discharge_us
         time_us = self._now_us + np.cumsum(lasts) - lasts
         if above is None:
             above = self.drive(slots.current_ua, slots.width_us)
-        # The others stay silent: such noise occurs once in 10⁹ pulses.
+        # Leave out afferents far below threshold: 6 standard deviations occur once in 10⁹ pulses.
         near = np.flatnonzero((above >= 1 - _FARTHEST * self._noise[:, None]).any(axis=1))
         spread = self._noise[near, None] * self._random.standard_normal(
             (len(near), above.shape[1]), np.float32
@@ -140,7 +140,7 @@ class ResponseQuality:
     afferents: dict[Afferent, int]  # number of afferents that fired, by class
     # share of active electrodes without a firing receptor of a wanted class within half a pitch
     silent_points: float
-    wrong_class: float  # share of spikes of other classes; NaN without spikes
+    wrong_class: float  # share of spikes of classes that are not wanted; NaN without spikes
     # share of spikes more than a pitch from every active electrode; NaN without spikes
     misplaced: float
 
@@ -172,14 +172,14 @@ def response_quality(
 
 
 def ignore_nan(how: Callable[[list[float]], float], values: Iterable[float]) -> float:
-    """Apply a mean or median to the values that are not NaN; return NaN if all are."""
+    """Apply a mean or median to the values that are not NaN; return NaN if there are none."""
     numbers = [value for value in values if not isnan(value)]
     return how(numbers) if numbers else nan
 
 
 def middle_90(values: Iterable[float]) -> tuple[float, float, float]:
     """Return the median and the bounds of the middle 90 % of the values that are not NaN; NaN if
-    all are."""
+    there are none."""
     known = [value for value in values if not isnan(value)]
     middle, low, high = np.quantile(known, (0.5, 0.05, 0.95)) if known else (nan, nan, nan)
     return float(middle), float(low), float(high)
@@ -270,12 +270,12 @@ def fire_all(model: SpikeModel, sequences: Sequence[SlotCurrents]) -> Iterator[S
 Counts = dict[int, NDArray[np.intp]]  # spikes of each afferent, (A,), by sequence number
 
 FIELD_MM = 1.0  # standard deviation of a receptive field (our choice)
-MOST_SLOTS = 10_000  # largest number of slots; with more, sequences are left out evenly
+MOST_SLOTS = 10_000  # value of ``most_slots`` for pictures of a run
 
 
 @dataclass(frozen=True, eq=False)
 class DeliveredSlots:
-    """Slots of one delivered sequence, for `SpikeModel`."""
+    """Slots of one delivered sequence, as input of `SpikeModel`."""
 
     current_ua: NDArray[np.int16]
     width_us: NDArray[np.uint16]
@@ -292,9 +292,9 @@ def delivered_spikes(
     most_slots: int | None = None,
     model: SpikeModel | None = None,
 ) -> Counts:
-    """Return a finger's spikes for delivered slots (N,), by sequence number. Slots of one sequence
-    are consecutive; only sequences in ``period_us`` count. Above ``most_slots``, sequences are left
-    out evenly. A model that is passed again is reset, but keeps its cache."""
+    """Return the spike counts of a finger for delivered slots, (N,), by sequence number. Slots of a
+    sequence are consecutive; only sequences in ``period_us`` are used and, if there are more than
+    ``most_slots`` slots, only every n-th of these. A ``model`` keeps its cached drives."""
     begins = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
     parts = zip(begins, np.append(begins[1:], len(numbers)), strict=False)
     sequences = {}

@@ -1,27 +1,26 @@
 """Vibration thresholds of each class of receptor by frequency.
 
 The curves of the paper's Fig. 2 as analytic functions. In log-log coordinates RA and PC are
-hyperbolas with a minimum at the best frequency; SAI is flat up to a few hertz. The parameters are
-from
+hyperbolas with a minimum at the best frequency; SAI is flat up to a few hertz. Sources:
 
-- the best frequencies and bands of the paper (Sections I and III-C): RA best at 30 Hz,
-  20 to 70 Hz; PC best at 250 Hz, 60 to 800 Hz; SAI static. RA's band is where its threshold is at
-  most 3 dB above the minimum. PC's thresholds at 60 and 800 Hz are equal;
-- the fingertip, where RA and PC have equal thresholds at 40 Hz (Güçlü and Bolanowski). In the
-  paper, PC begins at 60 and RA ends at 70 Hz, as in its sources for other skin;
-- the slopes of the four-channel model (Bolanowski, Gescheider, Verrillo and Checkosky,
+- Best frequencies and bands: the paper (Sections I and III-C). RA is best at 30 Hz and responds
+  from 20 to 70 Hz; PC is best at 250 Hz and responds from 60 to 800 Hz; SAI is static. At the edges
+  of its band, RA's threshold is 3 dB above the minimum. PC's thresholds at 60 and 800 Hz are equal.
+- Intersection: on the fingertip, RA and PC have equal thresholds at 40 Hz (Güçlü and Bolanowski).
+  The paper's bands, which cross between 60 and 70 Hz, are from other skin.
+- Slopes: the four-channel model (Bolanowski, Gescheider, Verrillo and Checkosky,
   J. Acoust. Soc. Am. 84, 1988): about -12 dB per octave below the best frequency of the
-  Pacinian channel, about -5 below that of NP I (RA), none for NP III (SAI);
-- two levels. PC has a minimum of -10 dB re 1 µm under 0.3 cm² of a finger pad. This is extrapolated
+  Pacinian channel, about -5 below that of NP I (RA), none for NP III (SAI).
+- Minima: PC has -10 dB re 1 µm under 0.3 cm² of a finger pad. This is extrapolated
   from -20 dB under 2.9 cm² of the thenar (Bolanowski et al.) with 3 dB for each halving of the area
-  (Verrillo, J. Acoust. Soc. Am. 35, 1963); on the fingertip, 3 dB are confirmed only from 0.025 to
-  0.1 cm² (Gescheider 2002). SAI has 28 dB (Bolanowski et al.). RA's level follows from the
+  (Verrillo, J. Acoust. Soc. Am. 35, 1963); on the fingertip, the 3 dB are confirmed only from 0.025
+  to 0.1 cm² (Gescheider 2002). SAI has 28 dB (Bolanowski et al.). RA's minimum follows from the
   intersection with PC.
 
-RA and SAI then intersect at about 5 Hz. Recordings from human afferents confirm the order
-(Johansson, Landström and Lundström, Brain Res. 244, 1982: RA 8 to 64 Hz, PC above, SAI below). The
-curvature at the minimum is our choice. These are thresholds of perception; a single afferent needs
-more (`examples/studies/receptor_spikes.py`).
+With these parameters, RA and SAI intersect at about 5 Hz. Recordings from human afferents confirm
+the order (Johansson, Landström and Lundström, Brain Res. 244, 1982: RA 8 to 64 Hz, PC above, SAI
+below). The curvature at the minimum is our choice. These are thresholds of perception; a single
+afferent needs stronger vibration (`examples/studies/receptor_spikes.py`).
 """
 
 from dataclasses import dataclass
@@ -41,7 +40,7 @@ BAND_DB = 3.0
 MEETING_HZ = 40.0
 """Frequency at which RA and PC have equal thresholds on the fingertip (Güçlü and Bolanowski)."""
 PC_BEST_DB, SAI_DB = -10.0, 28.0
-"""Minimum thresholds, dB re 1 µm amplitude, see above."""
+"""Minimum thresholds, dB re 1 µm amplitude; sources in the module's docstring."""
 SAI_CORNER_HZ = 5.0
 """Corner frequency of SAI's first-order rise (our choice for "below a few hertz")."""
 PC_DB_PER_OCTAVE = 12.0
@@ -56,7 +55,7 @@ class _Flank:
     roundness: float
 
     def rise_db(self, octaves: Array) -> Array:
-        """Return the rise above the minimum, a hyperbola, at a distance in octaves."""
+        """Return the rise above the minimum (a hyperbola), dB, octaves from the best frequency."""
         w = self.roundness
         return np.asarray(self.db_per_octave * (np.hypot(octaves, w) - w))
 
@@ -87,7 +86,7 @@ def _valleys() -> dict[Afferent, _Valley]:
     pc = _Valley(
         PC_BEST_HZ, PC_BEST_DB, pc_below, _flank_through(PC_BAND_HZ[1], PC_BEST_HZ, edge_db, 0.5)
     )
-    # 6.1 dB per octave far below, 8.7 far above.
+    # Far from 30 Hz, RA rises by 6.1 dB per octave below and by 8.7 dB above.
     below, above = (
         _flank_through(edge_hz, RA_BEST_HZ, BAND_DB, round_)
         for edge_hz, round_ in zip(RA_BAND_HZ, (0.1, 2.0), strict=True)
@@ -109,7 +108,7 @@ def threshold_um(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
     """
     frequency = np.asarray(frequency_hz, np.float64)
     if np.any(frequency < 0):
-        raise ValueError(f"a frequency of {frequency.min():g} Hz: give 0 or more")
+        raise ValueError(f"frequency {frequency.min():g} Hz is negative: give 0 or more")
     if afferent is Afferent.SAI:
         return np.asarray(10 ** (SAI_DB / 20) * np.hypot(1, frequency / SAI_CORNER_HZ))
     with np.errstate(divide="ignore", over="ignore"):
