@@ -1,4 +1,4 @@
-"""Afferent classes (tactile primary colors), and modes that combine them."""
+"""Afferent classes, the tactile primary colors, and modes of a run that stimulate them."""
 
 from enum import IntEnum, StrEnum
 

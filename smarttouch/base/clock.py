@@ -30,8 +30,8 @@ class Clock(Protocol):
 class MonotonicClock:
     """The machine's clock, for threads that wait for deadlines.
 
-    It is monotonic and continues while the machine is suspended, so that sequences that became due
-    during the suspension count as late.
+    It is monotonic and also runs while the machine is suspended, so a sequence that becomes due in
+    this time is late afterwards.
     """
 
     now_ns = staticmethod(now_ns)
@@ -42,7 +42,7 @@ class MonotonicClock:
 
 
 class SimulatedClock:
-    """Clock that `wait_until` advances without waiting, so that runs are as fast as possible."""
+    """Simulated clock: `wait_until` sets it to the deadline at once, so that runs never wait."""
 
     def __init__(self) -> None:
         self._now_ns = 0

@@ -60,7 +60,7 @@ class SourceError(SmartTouchError):
 
 
 class SourceLostError(SourceError):
-    """The connection to a source was lost. It may return, for example when replugged."""
+    """The connection to a source was lost. The source can be plugged in again."""
 
 
 class PageError(SmartTouchError):
@@ -127,7 +127,7 @@ class BoardError(SmartTouchError):
 
 
 class LineLostError(BoardError):
-    """The connection to a board was lost, or the board stopped responding; a restart may help."""
+    """The connection to a board was lost, or the board stopped responding: restart the board."""
 
 
 class SilentBoardError(BoardError):
@@ -218,7 +218,7 @@ def kind_in_words(value: object) -> str:
 def import_extra(
     module: str, what: str, extra: str, error: type[SmartTouchError] = SmartTouchError
 ) -> Any:
-    """Import a module that an extra installs; if it is missing, raise an error with the command."""
+    """Import a module of an extra; if it is missing, raise an error with the pip command."""
     try:
         return import_module(module)
     except ImportError:

@@ -108,8 +108,8 @@ _FILE_NAME = re.compile(
 
 
 def named_file(name: str, error: type[SmartTouchError]) -> Path | None:
-    """Return the file with this name. If there is none, raise an error if the name looks like that
-    of a file, and return None if it looks like text."""
+    """Return the file with this name; None if the name looks like a text and not like a file name.
+    Raise an error if it looks like a file name, but there is no such file."""
     there = file_at(name)
     if there is None and (words := _FILE_NAME.fullmatch(name)):
         file = name.removesuffix(words["options"] or "")
@@ -136,7 +136,7 @@ def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
 
 
 def owner_only(path: str, flags: int) -> int:
-    """Open a file, as ``opener`` of `open`; if it is new, only its owner can read it."""
+    """Opener for `open`: open a file, and let only its owner read it if it is new."""
     return os.open(path, flags | O_NOCTTY | O_BINARY, 0o600)
 
 
@@ -151,7 +151,7 @@ def make_folder(path: Path) -> None:
 
 
 def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTouchError) -> None:
-    """Write a file atomically: it is complete on disk before it replaces an earlier one.
+    """Write a file atomically: it is complete on disk before it replaces an existing file.
 
     Devices and pipes are written directly.
     """
@@ -195,7 +195,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
             file = os.fdopen(owner_only(os.fspath(path), flags), "r+b")
             status = os.fstat(file.fileno())
             if user_number() is not None and status.st_mode & 0o077:
-                # Fail if the file is another user's, but not on file systems without permissions.
+                # Ignore errors for the user's own file: some file systems have no permissions.
                 with contextlib.suppress(*[OSError] * (status.st_uid == user_number())):
                     os.fchmod(file.fileno(), 0o600)
         except OSError as failure:
@@ -203,7 +203,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
         if fcntl is not None and not try_lock(file.fileno()):
             file.close()
             raise error(
-                f"{path} is in use by another run: wait until that has ended, or give another file"
+                f"{path} is in use by another run: wait until it has ended, or give another file"
             )
         # If another program removed the file before the lock, the lock is useless: try again.
         if path.exists() and os.path.samestat(path.stat(), os.fstat(file.fileno())):
@@ -230,7 +230,7 @@ def require_folder(path: Path | None) -> None:
 
 def write_json(path: Path, figures: Any) -> None:
     """Write values as JSON; NaN and infinite numbers become null."""
-    from pydantic_core import to_json  # here, so that --help and short commands start faster
+    from pydantic_core import to_json  # imported here so that --help and short commands start fast
 
     write_bytes(path, to_json(figures, indent=2, inf_nan_mode="null") + b"\n")
 
@@ -259,7 +259,7 @@ def read_csv(
 
     With ``rising``, the first column must increase. Raises ``error``.
     """
-    import numpy as np  # here, so that --help and short commands start faster
+    import numpy as np  # imported here so that --help and short commands start fast
 
     try:
         reader = csv.reader(io.StringIO(read_text(path, error), newline=""))
@@ -280,7 +280,7 @@ def read_csv(
             if rising and len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
                 now, before = rows[-1][0], rows[-2][0]
                 raise ValueError(
-                    f"{names[0]} {now:g} is not above the {before:g} before it: it must increase"
+                    f"{names[0]} must increase, but {now:g} follows {before:g}: correct it"
                 )
         except ValueError as wrong:
             raise error(f"{path}, line {line}: {wrong}") from None

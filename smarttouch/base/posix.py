@@ -67,7 +67,7 @@ if HAS_POSIX:
 
 # Busy processes do not delay a thread with real-time priority (``SCHED_FIFO``). Linux grants it to
 # root, and to users whose limit ``rtprio`` allows it.
-PRIORITY = 1  # lowest real-time priority, for threads that pace and send
+PRIORITY = 1  # lowest real-time priority, for threads that pace runs and send to boards
 _FIFO: int | None = getattr(os, "SCHED_FIFO", None)
 _RESET: int = getattr(os, "SCHED_RESET_ON_FORK", 0)
 
@@ -77,9 +77,9 @@ def priority_advice() -> str:
     if _FIFO is None:
         return "this system has no real-time priority: packets may be late while it is busy"
     return (
-        "without real-time priority packets may be some ms late while the machine is busy: to "
-        "allow it, write '* - rtprio 5' into /etc/security/limits.d/smarttouch.conf and log in "
-        "again"
+        "real-time priority is not allowed, so packets may be some ms late while the machine is "
+        "busy: to allow it, write '* - rtprio 5' into /etc/security/limits.d/smarttouch.conf and "
+        "log in again"
     )
 
 

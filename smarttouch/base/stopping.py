@@ -1,4 +1,4 @@
-"""Requests to end a run, from a signal, a key or another thread; a base class for closing."""
+"""Requests to end a run, from a signal, a key or another thread; base class of closable objects."""
 
 import contextlib
 import signal
@@ -38,11 +38,11 @@ class StopRequest:
         with self._lock:
             # Keep the first reason, also after a second Ctrl-C.
             self.reason = self.reason or reason
-            # Under the lock: a function added now is either copied, or `on_stop` sees the event.
+            # Under the lock: `on_stop` in another thread adds its function before, or sees this.
             self.event.set()
             calls = self._on_stop.copy() if at_once else []
         with contextlib.ExitStack() as stack:
-            # Call all functions even if one raises. Closing a lost board reports its error.
+            # Call all functions even if one raises. Ignore a lost board: closing it reports it.
             for call in reversed(calls):
                 stack.enter_context(contextlib.suppress(SmartTouchError))
                 stack.callback(call)
@@ -90,7 +90,7 @@ def uninterrupted() -> Iterator[None]:
 
 
 def interrupt(error: BaseException) -> None:
-    """Raise an error from a signal handler; within `uninterrupted`, when that block ends."""
+    """Raise an error in a signal handler, or at the end of the current `uninterrupted` block."""
     global _pending
     if not _writes:
         raise error

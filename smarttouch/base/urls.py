@@ -94,11 +94,11 @@ def read_options(
     opener: Callable[..., Any], rest: str, error: type[SmartTouchError],
     but: Collection[str] = (), **more: type,
 ) -> tuple[str, dict[str, Any]]:  # fmt: skip
-    """Split the part of a URL after its name into an address and options: parameters of ``opener``
-    with a default, and those in ``more``, with their types.
+    """Split the part of a URL after its name into an address and options.
 
-    There are no options if the whole text names a file, if the part after ``?`` does not look like
-    options (``text:Is it so?``), or if the opener has none. URLs cannot set the options in ``but``.
+    Options are the parameters of ``opener`` that have a default, except ``but``, and those in
+    ``more``. The text has no options if it is the name of a file, if the part after ``?`` does not
+    look like options (``text:Is it so?``), or if the opener has none.
     """
     address, mark, query = rest.rpartition("?")
     known = options_of(opener, but) | more
@@ -161,7 +161,7 @@ _TRUTHS = {"": True, "1": True, "yes": True, "true": True, "0": False, "no": Fal
 
 
 def options_of(opener: Callable[..., Any], but: Collection[str] = ()) -> dict[str, Any]:
-    """Return the type of each option of an opener that can be given as text."""
+    """Return name and type of each option of an opener whose value can be written as text."""
     kinds = {}
     for parameter in inspect.signature(opener).parameters.values():
         if parameter.default is inspect.Parameter.empty or parameter.name in but:

@@ -1,4 +1,4 @@
-"""Kernel bank: the kernels of all sites and modes of a profile, designed once and stored."""
+"""Kernel bank: the kernels of all sites and classes of a profile, designed once and stored."""
 
 import contextlib
 import hashlib
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from smarttouch.kernels.design_problem import Kernel, KernelKind, Problem
 
 DESIGN_VERSION = 3  # increase it when a change of the code leads to other kernels
-_IN_FILE = {  # column: its name in files
+_IN_FILE = {  # attribute of KernelBank: its name in files
     "weights": "weights", "off_target": "worst_other", "worst_class": "worst_class",
     "spill": "own_spill", "gap": "gap", "seconds": "seconds", "receptor": "receptor",
 }  # fmt: skip
@@ -146,7 +146,7 @@ def _array_problem(profile: Profile) -> dict[str, Any]:
 
 
 def _by_sources(profile: Profile) -> Profile:
-    """Return the profile. If each electrode has its own source, all impedances are set to 1 kΩ."""
+    """Return the profile, with impedances set to 1 kΩ if each electrode has its own source."""
     if profile.output.kind != "weighted":
         return profile
     output = profile.output.model_copy(update={"impedance_kohm": 1.0})
@@ -262,7 +262,7 @@ def design_confined(
     profile: Profile, sites: Sequence[int], progress: Progress | None, keep: Path | None = None
 ) -> KernelBank:
     """Design kernels for some sites. Each drives only the `Kernels.neighbors` electrodes nearest to
-    its site. Other sites get zeros, and so does the AF from more distant electrodes."""
+    its site. The bank has zeros for other sites, and for the AF from more distant electrodes."""
     from smarttouch.kernels.batch_design import design_tiles
     from smarttouch.kernels.switched_design import designer, possible_modes
 

@@ -60,9 +60,9 @@ def design_sites(
 ) -> list[Timed]:
     """Design a kernel for each site, and return it with its design time.
 
-    Of sites that mirror each other, one is designed. `joblib.Parallel` uses threads, because the
+    Of sites that mirror each other, only one is designed. `joblib.Parallel` uses threads, as the
     solver releases the interpreter lock, or the backend of ``joblib.parallel_config``, for example
-    a Dask cluster. Finished kernels are stored in the folder `keep`, if given, and not redesigned.
+    a Dask cluster. Finished kernels are stored in the folder `keep`; a later call reuses them.
     """
     from joblib import Parallel, delayed
     from threadpoolctl import threadpool_limits
@@ -220,7 +220,7 @@ class Tile:
     """Site and its neighbors as a small array, and all sites with the same neighbors."""
 
     profile: Profile  # electrode 0 is the site
-    # by site: numbers in the complete array, (N,), of the electrodes of the tile
+    # by site: the numbers, (N,), that the tile's electrodes have in the complete array
     members: dict[int, NDArray[np.intp]] = field(default_factory=dict)
 
 
@@ -258,7 +258,7 @@ def _cut(
     profile: Profile, members: NDArray[np.intp], places_mm: Array, drives: NDArray[np.bool_]
 ) -> Profile:
     """Return the profile of a tile: electrodes ``members``, (N,), at ``places_mm``, (N, 2).
-    Electrodes that are not in ``drives``, (N,), are masked."""
+    Electrodes for which ``drives``, (N,), is false are masked."""
     array, felt, limits = profile.electrodes, profile.perception, profile.limits
     shapes = [array.own[index] for index in members] if array.own else None
     layout = FreeLayout(

@@ -13,7 +13,7 @@ from smarttouch.profile.electrodes import Shape
 from smarttouch.profile.profile import Profile
 
 CONTACT_PITCH_MM, CONTACT_MM = 0.5, (0.3, 3.0)  # contacts of a connector for flat flexible cables
-MOST_CONTACTS, GAP_MM = 40, 2.0  # largest connector, and the gap between connectors
+MOST_CONTACTS, GAP_MM = 40, 2.0  # most contacts of a connector; gap between connectors
 EDGE_MM, TAIL_MM = 0.5, 10.0  # from copper to the board's edge, from electrodes to contacts
 _HEAD = """(kicad_pcb (version 20241229) (generator "smarttouch") (generator_version "9.0")
 (layers (0 "F.Cu" signal) (2 "B.Cu" signal) (1 "F.Mask" user) (25 "Edge.Cuts" user)

@@ -56,8 +56,8 @@ def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
 
 
 def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[np.int_]]:
-    """Return the symmetries of a square, (2, 2) each, that preserve electrode shapes, all axon
-    directions, and the axons of the targets of ``targets_of``; identity first."""
+    """Return the symmetries of a square, (2, 2) each, that preserve electrode shapes, the axon
+    directions of all classes, and those of the targets of ``targets_of``; identity first."""
     skin = profile.skin
     kinds = profile.electrodes.kinds
     upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in kinds)
@@ -188,11 +188,11 @@ class Problem:
         for other in nodes.keys() - made.keys():
             made[other] = af_matrix(profile, nodes[other])
         self.target: Array = af_matrix(profile, targets(profile, afferent))
-        """Rows of the targets of all sites, (E, E) V/mm² per mA."""
+        """AF rows of the targets of all sites, (E, E) V/mm² per mA."""
         self.other: Array = np.concatenate([made[other] for other in others])
-        """Rows of all nodes of the other classes, (N, E)."""
+        """AF rows of all nodes of the other classes, (N, E)."""
         self.own: Array = made[afferent]
-        """Rows of all nodes of the target's class, (M, E)."""
+        """AF rows of all nodes of the target's class, (M, E)."""
         self.other_class: NDArray[np.int8] = np.concatenate(
             [np.full(len(made[other]), other, np.int8) for other in others]
         )

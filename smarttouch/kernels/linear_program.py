@@ -86,7 +86,7 @@ class ProgramRows:
         return np.concatenate(products)
 
     def take(self, index: NDArray[np.intp]) -> Array:
-        """Return some rows, (K, O)."""
+        """Return the rows with these indices, (K, O)."""
         taken, part = (
             np.empty((len(index), self.orbits.shape[1])),
             self._ends.searchsorted(index, "right"),
@@ -104,10 +104,10 @@ class ProgramRows:
 class LinearProgram:
     """Linear program: minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σ size·w = 0.
 
-    An unknown w is the current of each of `size` electrodes, (O,). Among optimal patterns, those
-    with the least Σ cost·|w| are chosen, with each cost of `ties`, (O,), in turn. `worst` chooses
-    the rows to add from the excess of all rows, (N,); by default all violated ones. With `after`, a
-    solved program, this one starts with the rows that `after` has used, and t is at least 0.
+    w, (O,), holds the current of the electrodes of each orbit, and `size`, (O,), their number. Of
+    optimal patterns, the one with the least Σ cost·|w| is chosen, for each cost of `ties`, (O,), in
+    turn. `worst` chooses rows to add by the excess of all rows, (N,); by default all violated ones.
+    With `after`, a solved program, this one starts with the rows that `after` used, and t ≥ 0.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class LinearProgram:
         rows: ProgramRows,  # (N, O)
         slope: Array,  # (N,) 1 if t limits the row, else 0
         bound: Array,  # (N,) 0 if t limits the row
-        aims: Array,  # (S, O) each must reach 1; a single one equals 1
+        aims: Array,  # (S, O) each row must reach 1; a single row equals 1
         size: Array,
         ties: Sequence[Array],
         worst: Chooser | None = None,
@@ -257,7 +257,7 @@ class LinearProgram:
         return abs(value - bound) <= 1e-6 * max(1.0, abs(value))
 
     def _violated(self, weights: Array, worst: float) -> NDArray[np.intp]:
-        """Return violated rows to add: coarse rows, or else nearly violated ones, or else any."""
+        """Return violated rows to add: from the coarse rows, else from `_near`, else from all."""
         for some, values in (
             (self._rows.coarse, self._rows.coarse_rows),
             (self._near, self._near_rows),

@@ -269,7 +269,7 @@ class SharedKernels:
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """Bounds on activations, V/mm², over all subsets of each of N sets, with currents as rounded.
+    """Bounds on activations, V/mm², for all subsets of each of N sets, after rounding of currents.
 
     A slot requests c_k K_k mA of kernel k, with peak p_k, where c_k is aim times intensity times
     level. The rounded currents have three errors with exact bounds (`KernelLists.current_ua`):
@@ -277,7 +277,7 @@ class Certainty:
     - Amplitudes are multiples of 1/4 µA, so c_k is off by at most e_k = (1/8 µA) / p_k.
     - Weights are integers with a peak of 32,767, divided by 32,768. This scales all currents by
       φ = 32,767/32,768, and the sum of a kernel's currents from electrode 0 to any other is off by
-      at most half a step. In a slot whose peaks add up to P, these errors add up to P/65,536.
+      at most half a step. In a slot whose peaks add up to P, these add up to at most P/65,536.
     - The sum of a slot's currents from electrode 0 to any other is rounded to 1 µA, by up to 1/2.
 
     The last two together are an error of at most h in this running sum, which is exactly 0 at the
@@ -376,10 +376,11 @@ def provable(profile: Profile) -> bool:
 
 
 def proved_sets(judge: FrameJudge, bounds: FrameBounds) -> list[SharedKernels]:
-    """Return a few sets that contain all sites, each independent: all its subsets keep the bounds.
+    """Return a few sets of independent sites: all subsets of a set keep the bounds.
 
-    Targets are weakened by `AIM`. Limits of electrodes are checked; the total current is not. The
-    list is empty if the array is too large or not a grid, or if no sets could be proved.
+    The sets contain all sites. Targets are weakened by `AIM`. Limits of electrodes are checked; the
+    total current is not. The list is empty if the array is too large or not a grid, or if no sets
+    could be proved.
     """
     if not provable(judge.profile):
         return []

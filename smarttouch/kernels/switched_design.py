@@ -86,8 +86,8 @@ def design_three_state(problem: Problem, site: int) -> Kernel:
     """Return the kernel of one electrode against its ring, with all others insulated (paper, Fig.
     19), or against all others.
 
-    A kernel that keeps the limits is preferred, then the more selective one. The ring reaches
-    `_RING_PITCHES` or, if there is no electrode so near, to the nearest ones.
+    A kernel that keeps the limits is preferred, then the more selective one. The ring consists of
+    the electrodes within `_RING_PITCHES`, or of the nearest ones if there are none.
     """
     problem.check_site(site)
     away_mm = problem.profile.electrodes.distance_mm[site]

@@ -22,7 +22,7 @@ GIVEN_UP = 0.03
 """Relative increase of off-target that is allowed in order to reduce spill."""
 _WORTHWHILE = 1e-6
 _SEARCHED_MM = 0.5  # spacing of the nodes that `design_any_node` tries as target
-_LOOSE_ROWS = 40  # most rows of spill and Eq. 11 that are added per round
+_LOOSE_ROWS = 40  # largest number of rows of spill and Eq. 11 added per round
 
 
 def design_kernel(
@@ -73,7 +73,7 @@ def design_kernel(
         if best == np.inf:
             raise DesignError(
                 f"no kernel for {problem.describe(site)} keeps limits.total_ma and "
-                "limits.electrode_ma of the profile: raise them, or lower the strongest current",
+                "limits.electrode_ma of the profile: raise them, or lower the comfort level",
                 electrode=site,
             )
     if spill is not None and given_up > 0:

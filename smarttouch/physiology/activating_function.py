@@ -188,8 +188,8 @@ def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: fl
 
 
 _MARGIN_PITCHES = {"plane": 2.0}
-"""Margin around the electrodes within which nodes are considered, in pitches, where it is not 1. In
-the plane, 2 gives the paper's range of −5 to 5 mm."""
+"""Margin around the electrodes in which nodes are considered, in pitches; 1 in other media. In the
+plane, 2 gives the paper's range of −5 to 5 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,10 +241,10 @@ def targets(profile: Profile, afferent: Afferent) -> Afferents:
 
 
 def everywhere(profile: Profile, afferent: Afferent) -> Afferents:
-    """Return the nodes of a class in the region around the array, with all axon directions."""
+    """Return the nodes of a class under and around the array, with all axon directions."""
     spacing = profile.skin.node_spacing_mm
     if profile.skin.medium == "plane" and afferent is Afferent.RA:
-        # As in the paper, RA axons are one pitch apart; the node spacing is that of SAI and PC.
+        # As in the paper, RA axons are one pitch apart; node_spacing_mm is for SAI and PC.
         spacing = profile.electrodes.pitch_mm
     position, grid = _lattice(profile, spacing)
     skin = profile.skin
@@ -395,7 +395,7 @@ def potential_mv(profile: Profile, points_mm: NDArray[np.float64]) -> NDArray[np
         potential, scale = np.sqrt(r2, out=r2), _volts(skin)
         alone = len(electrodes.kinds) == 1
         for (shape, (outer, inner)), those in electrodes.kinds.items():
-            # A slice avoids a copy.
+            # For all electrodes, use a slice: an index array would copy.
             which = slice(None) if alone else those
             if shape == "disc":
                 potential[:, which] = disc_potential(potential[:, which], depth, outer / 2)

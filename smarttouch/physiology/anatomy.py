@@ -26,7 +26,7 @@ class ClassAnatomy(Table):
     ending: Literal["through", "active", "passive"] = "passive"
     """Kind of the endings, as in `Fiber`; "through" if the axon cannot fire at the receptor."""
     depth_mm: Positive | None = None
-    """Depth of the endings or of a horizontal axon; by default that of the profile."""
+    """Depth of the endings or of a horizontal axon; by default from the profile."""
     depth_spread_mm: float = Field(default=0.05, ge=0, le=1)
     """Standard deviation of the depth of axons (our assumption)."""
     on_ridges: bool = False
@@ -83,7 +83,7 @@ class Anatomy(Table):
     tip_mm: Positive = 20.0
     """Distance from the end of the finger up to which the density is that of the fingertip."""
     beyond_tip: float = Field(default=1.6 / 4.2, ge=0, le=1)
-    """Density beyond `tip_mm`, relative to the tip (1.6 to 4.2, Johansson and Vallbo 1979)."""
+    """Density beyond `tip_mm`, relative to the tip (1.6 : 4.2, Johansson and Vallbo 1979)."""
     margin_mm: float = Field(default=3.0, ge=0, le=20)
     """Margin of skin around the electrodes."""
     ra: ClassAnatomy

@@ -206,7 +206,7 @@ class Finger:
         return Population(afferent, middle, course, owner, factor, anatomy)
 
     def _places(self, anatomy: ClassAnatomy, random: np.random.Generator) -> Array:
-        """Return random places on the finger, (A, 2) mm, at the anatomy's density."""
+        """Return random places of receptors, (A, 2) mm, with the anatomy's density."""
         reach = self.reach_mm
         area_cm2 = 4 * reach.prod() / 100
         count = random.poisson(anatomy.density_per_cm2 * area_cm2)
@@ -237,7 +237,7 @@ class Finger:
         return np.stack([np.column_stack(corner) for corner in corners], axis=1)
 
     def _drives(self, population: Population) -> tuple[Floats, NDArray[np.intp]]:
-        """Return the drives of the nodes that can fire, and the afferent of each."""
+        """Return the drives of the nodes that can fire, and the afferent of each node."""
         driving = population.anatomy.driving(self.profile.pulse.width_us)
         owner = population.owner
         first = np.r_[True, np.diff(owner) > 0] if len(owner) else np.zeros(0, np.bool_)

@@ -25,7 +25,7 @@ _LEAK_PER_US = 128.0 / _NODE_UF_PER_CM2 / 1000
 _SODIUM_MV = 115.0
 _AXOPLASM_OHM_CM = 54.7  # Sweeney et al. 1987
 _BARE_UF_PER_CM2, _BARE_MS_PER_CM2 = 1.0, 1.0  # unmyelinated membrane, textbook values
-_RATES_HOLD_MV = 200.0  # gates saturate beyond; avoids overflow of exp()
+_RATES_HOLD_MV = 200.0  # limit of the potential in gate rates: gates are saturated there
 
 _PADDING = 12  # nodes added beyond the last one
 _WATCHED = -5  # padding node whose spike counts as firing of the fiber
@@ -50,7 +50,7 @@ class Fiber:
     """
 
     diameter_um: float = 3.3  # outer; 3.3 ± 0.5 at the fingertip (Nolano et al. 2003)
-    # 0.079 ± 0.014 at the fingertip (Nolano et al. 2003), 100 diameters in trunks (McNeal 1976)
+    # 0.079 ± 0.014 at the fingertip (Nolano et al. 2003); 100 diameters in trunks (McNeal 1976)
     internode_mm: float = 0.079
     axon_ratio: float = 0.6  # axon diameter over fiber diameter (Sweeney et al. 1987)
     node_um: float = 1.5  # length of a node (Sweeney et al. 1987)

@@ -1,4 +1,4 @@
-"""Spikes of a finger's afferents."""
+"""Spikes of a simulated finger's afferents, and the quality of its response."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -112,7 +112,7 @@ class SpikeModel:
         time_us = self._now_us + np.cumsum(lasts) - lasts
         if above is None:
             above = self.drive(slots.current_ua, slots.width_us)
-        # Leave out afferents far below threshold: 6 standard deviations occur once in 10⁹ pulses.
+        # Skip afferents far below threshold: noise this strong occurs once in 10⁹ pulses.
         near = np.flatnonzero((above >= 1 - _FARTHEST * self._noise[:, None]).any(axis=1))
         spread = self._noise[near, None] * self._random.standard_normal(
             (len(near), above.shape[1]), np.float32
@@ -218,7 +218,7 @@ class Feeling:
     finger: Finger
     spikes: tuple[Spikes, ...]  # one for each sequence
     active: NDArray[np.bool_]  # (E,) electrodes that were requested to stimulate
-    # requested classes; all if only sequences are given
+    # requested classes; all classes if the input has sequences without steps
     wanted: tuple[Afferent, ...]
 
     @cached_property

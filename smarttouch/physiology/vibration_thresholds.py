@@ -7,7 +7,7 @@ hyperbolas with a minimum at the best frequency; SAI is flat up to a few hertz. 
   from 20 to 70 Hz; PC is best at 250 Hz and responds from 60 to 800 Hz; SAI is static. At the edges
   of its band, RA's threshold is 3 dB above the minimum. PC's thresholds at 60 and 800 Hz are equal.
 - Intersection: on the fingertip, RA and PC have equal thresholds at 40 Hz (Güçlü and Bolanowski).
-  The paper's bands, which cross between 60 and 70 Hz, are from other skin.
+  The paper's bands, which overlap from 60 to 70 Hz, are from other skin.
 - Slopes: the four-channel model (Bolanowski, Gescheider, Verrillo and Checkosky,
   J. Acoust. Soc. Am. 84, 1988): about -12 dB per octave below the best frequency of the
   Pacinian channel, about -5 below that of NP I (RA), none for NP III (SAI).
@@ -36,7 +36,7 @@ RA_BEST_HZ, RA_BAND_HZ = 30.0, (20.0, 70.0)
 PC_BEST_HZ, PC_BAND_HZ = 250.0, (60.0, 800.0)
 """Best frequency and band of PC (paper, Section III-C)."""
 BAND_DB = 3.0
-"""Rise of RA's threshold at the edges of its band: half the power (our choice)."""
+"""Rise of RA's threshold at the edges of its band (our choice: half the power)."""
 MEETING_HZ = 40.0
 """Frequency at which RA and PC have equal thresholds on the fingertip (Güçlü and Bolanowski)."""
 PC_BEST_DB, SAI_DB = -10.0, 28.0
@@ -55,7 +55,7 @@ class _Flank:
     roundness: float
 
     def rise_db(self, octaves: Array) -> Array:
-        """Return the rise above the minimum (a hyperbola), dB, octaves from the best frequency."""
+        """Return the rise above the minimum, dB, at a distance from the best frequency, octaves."""
         w = self.roundness
         return np.asarray(self.db_per_octave * (np.hypot(octaves, w) - w))
 
@@ -86,7 +86,7 @@ def _valleys() -> dict[Afferent, _Valley]:
     pc = _Valley(
         PC_BEST_HZ, PC_BEST_DB, pc_below, _flank_through(PC_BAND_HZ[1], PC_BEST_HZ, edge_db, 0.5)
     )
-    # Far from 30 Hz, RA rises by 6.1 dB per octave below and by 8.7 dB above.
+    # The threshold rises by 6.1 dB per octave far below 30 Hz, and by 8.7 dB far above.
     below, above = (
         _flank_through(edge_hz, RA_BEST_HZ, BAND_DB, round_)
         for edge_hz, round_ in zip(RA_BAND_HZ, (0.1, 2.0), strict=True)

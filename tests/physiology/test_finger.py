@@ -94,7 +94,7 @@ def test_branches_gather_around_the_receptor(small):
 def test_nodes_that_are_left_out_are_never_fired_by_legal_currents(small, monkeypatch):
     kept = SpikeModel(Finger(small, 5, "branched"))
     with monkeypatch.context() as every:
-        every.setattr(Finger, "_most", lambda _, rows: np.full(len(rows), np.inf))
+        every.setattr(Finger, "_largest_drive", lambda _, rows: np.full(len(rows), np.inf))
         whole = SpikeModel(Finger(small, 5, "branched"))
     assert len(kept.finger.rows[0]) < 0.9 * len(whole.finger.rows[0])
     currents, width = patterns(small, 1, 100), np.full(100, small.pulse.width_us)

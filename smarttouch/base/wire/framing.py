@@ -41,7 +41,7 @@ class Deframer:
     def __init__(self, largest: int = LARGEST_PACKET) -> None:
         self.errors: int = 0  # number of invalid packets
         self._largest, self._most = largest, largest * 1.01 + 64
-        self.waiting: bytearray = bytearray()  # the incomplete packet
+        self.waiting: bytearray = bytearray()  # bytes of the packet that is not complete yet
         self._skipping = False
 
     def head(self, count: int) -> bytes | None:
@@ -52,7 +52,7 @@ class Deframer:
             return None
         while at + data[at] < len(data):
             at += data[at]
-        # The last COBS block may be incomplete; a complete block stands for a zero at its end.
+        # The last COBS block may be incomplete. If it is complete and short, a zero follows it.
         zero = b"\0" if at + data[at] == len(data) and data[at] < 0xFF else b""
         data[at] = len(data) - at
         decoded = bytes(cobs.decode(bytes(data))) + zero

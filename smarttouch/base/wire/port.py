@@ -70,7 +70,7 @@ def open_port(
 
 
 def _is_device(port: Port) -> bool:
-    """Return whether a port is a device. Pseudo-terminals are not; they would stay exclusive."""
+    """Return False for a pseudo-terminal, which would stay exclusive after it is closed."""
     try:
         return not os.ttyname(port.fileno()).startswith(_PSEUDO)
     except (OSError, AttributeError):
@@ -98,7 +98,7 @@ def identity_of(port: Port) -> UsbIdentity | None:
 
 
 def device_of(name: str) -> str:
-    """Return USB IDs and serial number of the device at a port, or the port's name without them."""
+    """Return USB IDs and serial number of the device at a port; without USB, the port's name."""
     with contextlib.suppress(*LINE_ERRORS):
         if usb := _usb_identity(name):
             return f"USB {usb.vendor:04x}:{usb.product:04x} {usb.serial_number}"
