@@ -1,4 +1,4 @@
-"""Features of POSIX: modules, flags of `os.open`, file locks, users and real-time priority.
+"""POSIX features: modules, flags of `os.open`, file locks, users and real-time priority.
 
 On other systems these modules are None, the flags are 0, and the functions do nothing. Everything
 then works except terminals and the watchdog process.
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # for type checkers a module cannot be None
+if TYPE_CHECKING:  # type checkers reject a module that can be None
     import fcntl
     import pty
     import termios

@@ -254,7 +254,7 @@ def design_bank(
     for index, afferent in enumerate(modes):
         problem = Problem(profile, afferent, made=node_rows)
         timed = design_sites(problem, design, None, part_of(progress, index, len(modes)), keep)
-        _enter(columns, problem, timed)
+        _store_columns(columns, problem, timed)
     return KernelBank(**columns)
 
 
@@ -283,7 +283,7 @@ def design_confined(
     return KernelBank(**columns)
 
 
-def _enter(columns: dict[str, Any], problem: "Problem", timed: "Sequence[Timed]") -> None:
+def _store_columns(columns: dict[str, Any], problem: "Problem", timed: "Sequence[Timed]") -> None:
     """Write the kernels of one class and their design times into ``columns``."""
     afferent, kernels = problem.afferent, [kernel for kernel, _ in timed]
     fields: dict[str, tuple[Any, Any]] = {

@@ -249,12 +249,12 @@ def tiles_of(profile: Profile, sites: Iterable[int]) -> list[Tile]:
         key, order, places_mm = min(keys, key=lambda candidate: candidate[0])
         members = seen[order]
         if key not in tiles:
-            tiles[key] = Tile(_cut(profile, members, places_mm, drives[order]))
+            tiles[key] = Tile(_tile_profile(profile, members, places_mm, drives[order]))
         tiles[key].members[site] = members
     return list(tiles.values())
 
 
-def _cut(
+def _tile_profile(
     profile: Profile, members: NDArray[np.intp], places_mm: Array, drives: NDArray[np.bool_]
 ) -> Profile:
     """Return the profile of a tile: electrodes ``members``, (N,), at ``places_mm``, (N, 2).

@@ -67,7 +67,7 @@ def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[
         matrix
         for matrix in _SQUARE
         if not (upright and matrix[0, 0] == 0)
-        and all(_keeps(direction_set, matrix) for direction_set in sets)
+        and all(_preserves(direction_set, matrix) for direction_set in sets)
     ]
 
 
@@ -94,7 +94,7 @@ def own_properties(profile: Profile) -> list[NDArray[np.float64]]:
     return properties
 
 
-def _keeps(axons: NDArray[np.float64], matrix: NDArray[np.int_]) -> bool:
+def _preserves(axons: NDArray[np.float64], matrix: NDArray[np.int_]) -> bool:
     """Return whether a symmetry preserves a set of axon directions; opposite directions count as
     equal."""
     moved = axons.copy()

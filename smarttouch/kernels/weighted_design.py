@@ -4,9 +4,9 @@ For a target node with activating-function row a, and rows A of all other affere
 
     minimize t   such that   A w ≤ t,   a·w = 1,   Σw = 0
 
-and such that the activation of no other node of the target's axon exceeds 1 (Eq. 11). The bound
-`SPILL` is not in the paper: without it, on a grid, neighbors of the same class nearly fire. Of all
-patterns with t within `GIVEN_UP` of the minimum, the one with the least spill is chosen.
+The AF at all other nodes of the target's axon is at most 1 (Eq. 11). The bound `SPILL` is not in
+the paper: without it, on a grid, neighbors of the same class nearly fire. Of all patterns with t
+within `GIVEN_UP` of the minimum, the one with the least spill is chosen.
 """
 
 import numpy as np
@@ -164,7 +164,7 @@ class _ProgramBuilder:
     ) -> LinearProgram:
         size = self.orbits.sum(axis=0)
         array = self._problem.profile.electrodes
-        # Ties: total current, then distance from the site, then from the array's middle.
+        # Break ties by total current, then by distance from the site, then from the middle.
         from_site = array.distance_mm[self._site] @ self.orbits
         from_middle = np.linalg.norm(array.position_mm, axis=1) @ self.orbits
         ties, peaks = (size, from_site, from_middle), _peaks(self._problem)
@@ -208,7 +208,7 @@ class _ProgramBuilder:
 def _peaks(problem: Problem) -> Chooser:
     """Return a function that selects violated rows at local maxima of their lattice.
 
-    Neighboring rows are nearly equal, so one row of each maximum is sufficient.
+    Neighboring rows are nearly equal, so one row per maximum is enough.
     """
 
     def choose(excess: Array) -> np.ndarray:

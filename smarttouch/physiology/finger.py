@@ -51,7 +51,7 @@ def axon_path_length_mm(axon_path_mm: Array, corners: int) -> Array:
 
 
 def _along(axon_path_mm: Array, along_mm: Array) -> Array:
-    """Return the places, (B, N, 3), on paths at distances from their endings, (N,)."""
+    """Return the points, (B, N, 3), at distances ``along_mm``, (N,), from the endings of paths."""
     steps = np.diff(axon_path_mm, axis=1)
     lengths = np.linalg.norm(steps, axis=2)
     begins = np.cumsum(lengths, axis=1) - lengths

@@ -330,7 +330,7 @@ def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
     if not widths[0] <= width_us <= widths[-1]:
         raise DesignError(
             f"a pulse of {width_us:g} µs is outside the fitted widths of {widths[0]:g} to "
-            f"{widths[-1]:g} µs: choose one within"
+            f"{widths[-1]:g} µs: choose a width within them"
         )
     weights = {
         part: np.array([fitted[f"{width:g}"][part] for width in widths])

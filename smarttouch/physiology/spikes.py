@@ -191,8 +191,8 @@ def response_map(
     places_mm: NDArray[np.float64],
     blur_mm: float = 1.0,
 ) -> NDArray[np.float32]:
-    """Return the density of spikes of each class at places (P, 2) mm, (3, P), blurred by the
-    standard deviation ``blur_mm`` of a receptive field (our choice)."""
+    """Return the density of spikes of each class, (3, P), at places, (P, 2) mm. A receptive field
+    with the standard deviation ``blur_mm`` (our choice) blurs it."""
     fired = counts > 0
     away = places_mm[None] - finger.receptor_mm[fired, None]
     weight = np.exp(-(away**2).sum(axis=2) / (2 * blur_mm**2)) * counts[fired, None]
@@ -203,7 +203,7 @@ def response_map(
 
 
 def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
-    """Return spikes, (3, ...), as colors on white, (..., 3), saturated at `most` in total."""
+    """Return colors on white, (..., 3), for spikes, (3, ...); `most` spikes saturate a color."""
     image = np.ones((*spikes.shape[1:], 3), np.float32)
     for afferent, color in CLASS_COLORS.items():
         ink = 1 - np.array([int(color[at : at + 2], 16) for at in (1, 3, 5)]) / 255

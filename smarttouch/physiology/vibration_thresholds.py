@@ -48,7 +48,7 @@ PC_DB_PER_OCTAVE = 12.0
 
 
 @dataclass(frozen=True)
-class _Flank:
+class _CurveSide:
     """One side of a threshold curve."""
 
     db_per_octave: float
@@ -60,19 +60,19 @@ class _Flank:
         return np.asarray(self.db_per_octave * (np.hypot(octaves, w) - w))
 
 
-def _flank_through(frequency_hz: float, best_hz: float, rise_db: float, round_: float) -> _Flank:
+def _side_through(frequency_hz: float, best_hz: float, rise_db: float, round_: float) -> _CurveSide:
     octaves = abs(np.log2(frequency_hz / best_hz))
-    return _Flank(float(rise_db / (np.hypot(octaves, round_) - round_)), round_)
+    return _CurveSide(float(rise_db / (np.hypot(octaves, round_) - round_)), round_)
 
 
 @dataclass(frozen=True)
-class _Valley:
+class _ThresholdCurve:
     """Threshold curve with one best frequency."""
 
     best_hz: float
     best_db: float
-    below: _Flank
-    above: _Flank
+    below: _CurveSide
+    above: _CurveSide
 
     def threshold_db(self, frequency_hz: Array) -> Array:
         octaves = np.log2(frequency_hz / self.best_hz)
@@ -80,24 +80,24 @@ class _Valley:
         return np.asarray(self.best_db + rise)
 
 
-def _valleys() -> dict[Afferent, _Valley]:
-    pc_below = _Flank(PC_DB_PER_OCTAVE, 0.5)
+def _threshold_curves() -> dict[Afferent, _ThresholdCurve]:
+    pc_below = _CurveSide(PC_DB_PER_OCTAVE, 0.5)
     edge_db = float(pc_below.rise_db(np.log2(np.array(PC_BAND_HZ[0] / PC_BEST_HZ))))
-    pc = _Valley(
-        PC_BEST_HZ, PC_BEST_DB, pc_below, _flank_through(PC_BAND_HZ[1], PC_BEST_HZ, edge_db, 0.5)
+    pc = _ThresholdCurve(
+        PC_BEST_HZ, PC_BEST_DB, pc_below, _side_through(PC_BAND_HZ[1], PC_BEST_HZ, edge_db, 0.5)
     )
     # The threshold rises by 6.1 dB per octave far below 30 Hz, and by 8.7 dB far above.
     below, above = (
-        _flank_through(edge_hz, RA_BEST_HZ, BAND_DB, round_)
+        _side_through(edge_hz, RA_BEST_HZ, BAND_DB, round_)
         for edge_hz, round_ in zip(RA_BAND_HZ, (0.1, 2.0), strict=True)
     )
     meeting = np.array(MEETING_HZ)
     rise_db = above.rise_db(np.log2(meeting / RA_BEST_HZ))
-    ra = _Valley(RA_BEST_HZ, float(pc.threshold_db(meeting) - rise_db), below, above)
+    ra = _ThresholdCurve(RA_BEST_HZ, float(pc.threshold_db(meeting) - rise_db), below, above)
     return {Afferent.RA: ra, Afferent.PC: pc}
 
 
-_VALLEYS = _valleys()
+_CURVES = _threshold_curves()
 
 
 def threshold_um(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
@@ -112,7 +112,7 @@ def threshold_um(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
     if afferent is Afferent.SAI:
         return np.asarray(10 ** (SAI_DB / 20) * np.hypot(1, frequency / SAI_CORNER_HZ))
     with np.errstate(divide="ignore", over="ignore"):
-        return np.asarray(10 ** (_VALLEYS[afferent].threshold_db(frequency) / 20))
+        return np.asarray(10 ** (_CURVES[afferent].threshold_db(frequency) / 20))
 
 
 def sensitivity(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
@@ -124,4 +124,4 @@ def sensitivity(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
 
 def best_hz(afferent: Afferent) -> float:
     """Return the frequency at which a class has its lowest threshold, Hz."""
-    return 0.0 if afferent is Afferent.SAI else _VALLEYS[afferent].best_hz
+    return 0.0 if afferent is Afferent.SAI else _CURVES[afferent].best_hz
