@@ -30,8 +30,8 @@ class Clock(Protocol):
 class MonotonicClock:
     """The machine's clock, for threads that wait for deadlines.
 
-    It is monotonic and also runs while the machine is suspended, so a sequence that becomes due in
-    this time is late afterwards.
+    It is monotonic and also runs while the machine is suspended: sequences that become due during
+    the suspension are late.
     """
 
     now_ns = staticmethod(now_ns)

@@ -42,7 +42,7 @@ class StopRequest:
             self.event.set()
             calls = self._on_stop.copy() if at_once else []
         with contextlib.ExitStack() as stack:
-            # Call all functions even if one raises. Ignore a lost board: closing it reports it.
+            # Call all functions even if one raises. A lost board is reported when it is closed.
             for call in reversed(calls):
                 stack.enter_context(contextlib.suppress(SmartTouchError))
                 stack.callback(call)

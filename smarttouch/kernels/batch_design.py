@@ -217,7 +217,7 @@ _DECIMALS = 6
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """Site and its neighbors as a small array, and all sites with the same neighbors."""
+    """Site and its neighbors as a small array, and all sites whose neighbors are arranged alike."""
 
     profile: Profile  # electrode 0 is the site
     # by site: the numbers, (N,), that the tile's electrodes have in the complete array
@@ -226,7 +226,7 @@ class Tile:
 
 def tiles_of(profile: Profile, sites: Iterable[int]) -> list[Tile]:
     """Return the distinct tiles of sites. A tile drives all electrodes up to a distance from its
-    site: the largest distance with at most `Kernels.neighbors` of them."""
+    site: the largest distance with at most `Kernels.neighbors` electrodes."""
     array, neighbors = profile.electrodes, profile.kernels.neighbors or len(profile.electrodes)
     is_driven = np.isin(np.arange(len(array)), profile.driven)
     properties = np.column_stack(own_properties(profile))

@@ -80,7 +80,7 @@ def _kinds(profile: Profile) -> NDArray[np.float64]:
 
 
 def own_properties(profile: Profile) -> list[NDArray[np.float64]]:
-    """Return the properties in which electrodes may differ, (E,) each."""
+    """Return the properties in which electrodes can differ, (E,) each."""
     limits, properties = profile.limits, [profile.admittance, _kinds(profile)]
     if profile.output.masked:
         properties.append(

@@ -44,7 +44,7 @@ class _SilentHighs(highspy.Highs):
     """HiGHS without output. Version 1.16 prints a banner before an option can disable it."""
 
     def __init__(self) -> None:
-        # mypy rejects super().__init__(), because it has no type annotations.
+        # mypy rejects super().__init__(): the method has no type annotations.
         highspy.Highs.__init__(self)
 
     def enableCallbacks(self) -> None:  # noqa: N802, the name that the library calls
