@@ -1,8 +1,8 @@
-"""Mixing of the responses of three classes into one train of stimuli, at chosen electrodes.
+"""Conversion of a vibration into one train of stimuli for the three afferent classes.
 
-RA and PC pulses are phase-locked to the vibration: one for each cycle or, if the board is too slow,
-for every second, third ... cycle. The rate of SAI pulses follows pressure. A sequence may contain
-pulses of several classes.
+RA and PC pulses are phase-locked to the vibration: each cycle gets a pulse or, if the board is too
+slow, every second or third cycle. The rate of SAI pulses follows pressure. One scan sequence can
+contain pulses of several classes.
 """
 
 import math
@@ -27,8 +27,8 @@ from smarttouch.stimulation.slots import perceived_at
 
 
 def disc(profile: Profile) -> NDArray[np.intp]:
-    """Return the driven electrodes within one pitch of the middle of the array, at least one, (S,),
-    ascending."""
+    """Return the driven electrodes within one pitch of the array's center, (S,), ascending; if
+    there is none, the nearest."""
     electrodes = profile.electrodes
     off_mm = electrodes.position_mm[profile.driven] - electrodes.position_mm.mean(axis=0)
     away_mm = np.hypot(off_mm[:, 0], off_mm[:, 1])
@@ -36,10 +36,10 @@ def disc(profile: Profile) -> NDArray[np.intp]:
 
 
 def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the electrodes to stimulate so that a class is perceived at sites, (S',).
+    """Return the electrodes, (S',), whose pulses a person perceives at ``sites``.
 
-    They differ from the sites by the profile's shift of the class (paper, Section III-B.4).
-    Electrodes beyond the array are left out.
+    A pulse is perceived away from its electrode, by the profile's shift of the class (paper,
+    Section III-B.4). A site is omitted if its electrode would be outside of the array.
     """
     places = perceived_at(profile, afferent)
     if places is None:
@@ -49,7 +49,7 @@ def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) ->
 
 
 def parse_places(profile: Profile, sites: str | None) -> NDArray[np.intp]:
-    """Parse a list of electrodes such as 27,28,35-36, or all; None means `disc`."""
+    """Parse a list of electrodes such as 27,28,35-36, or the word all. None selects `disc`."""
     if sites is None:
         return disc(profile)
     if sites == "all":
@@ -61,8 +61,8 @@ Times = NDArray[np.int64]
 
 
 def shortest_us(profile: Profile, slots: int, timing: ScanTiming) -> int:
-    """Return the shortest period of a sequence with this number of slots within the profile's
-    limits, µs."""
+    """Return the shortest period, µs, of a sequence with ``slots`` slots that keeps the limits of
+    the profile and the timing of the board."""
     pulse, limits = profile.pulse, profile.limits
     within_us = max(slots * pulse.width_us / limits.duty, 1e6 / limits.rate_hz)
     return timing.shortest_period_us(
@@ -71,7 +71,7 @@ def shortest_us(profile: Profile, slots: int, timing: ScanTiming) -> int:
 
 
 def thinned(time_us: Times, least_us: int) -> Times:
-    """Return as many of the ascending times as possible, at least ``least_us`` apart."""
+    """Select as many of the ascending times as possible, with ``least_us`` or more between them."""
     kept_us, free_us = [], -math.inf
     for pulse_us in time_us.tolist():
         # Times are rounded to µs, so tolerate 1 µs.
@@ -82,13 +82,13 @@ def thinned(time_us: Times, least_us: int) -> Times:
 
 
 def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.intp]]]:
-    """Merge trains of pulses into sequences.
+    """Merge trains of pulses into sequences of ``least_us`` or more.
 
-    Return the starts of sequences and, for each train, the sequence of each pulse. A pulse within
-    half of the shortest period after the start of a sequence joins it. Any other pulse starts a new
-    sequence, when it is due or when the last sequence is over. So no pulse moves by more than half
-    of the shortest period. Trains are (K,) int64, µs, ascending, with distances of at least
-    `least_us` minus 1 µs.
+    Return the start of each sequence and, for each train, the index of the sequence of each pulse.
+    A pulse that is due less than ``least_us`` / 2 after the start of the previous sequence joins
+    this sequence. Any other pulse starts a sequence, when it is due or when the previous sequence
+    ends. So no pulse moves by more than ``least_us`` / 2. Trains are (K,) int64, µs, ascending,
+    with distances of at least ``least_us`` minus 1 µs.
     """
     events = sorted(
         (pulse_us, row) for row, train in enumerate(trains) for pulse_us in train.tolist()
@@ -106,9 +106,9 @@ def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.i
 
 
 PC_RATE_HZ = 150.0
-"""Largest rate of PC pulses: one for every second cycle at its best frequency (our choice). Higher
-rates were of little use to the paper's subjects in PC mode (Section III-C.1, above 100 Hz)."""
-VIBRATION_US = 20_000  # interval between amplitudes for a vibrator (our choice)
+"""Largest rate of PC pulses (our choice): at 250 Hz, where PC is most sensitive, every second cycle
+gets a pulse. Above 100 Hz, PC mode was of little use to the paper's subjects (Section III-C.1)."""
+VIBRATION_US = 20_000  # interval between updates of a vibrator's amplitude (our choice)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,21 +122,21 @@ class Mixture:
     end_us: int  # end of the last stimulus
     least_us: int  # shortest period of a sequence with pulses of all classes
     ideal_us: dict[Afferent, Times]  # (K,) int64, µs: ideal time of each pulse of a class
-    carried: dict[Afferent, NDArray[np.intp]]  # (K,): index of the stimulus with that pulse
+    carried: dict[Afferent, NDArray[np.intp]]  # (K,): stimulus that contains each pulse of a class
     left_out: tuple[Afferent, ...]  # classes that respond, but that the board cannot stimulate
-    vibrated: bool  # whether the PC drive is for a vibrator, held until the next stimulus
+    vibrated: bool  # whether the PC drive is the amplitude of a vibrator, held between stimuli
     answers: Mapping[Afferent, ReceptorResponse]  # response of each class to the trace
 
     @property
     def mode(self) -> Mode:
-        """Mode for its stimuli: that of the class if there is a single one, else color."""
+        """Mode of the stimuli: RA, SAI or PC if only this class is pulsed, otherwise color."""
         if len(self.ideal_us) == 1 and not self.vibrated:
             return Mode[next(iter(self.ideal_us)).name]
         return Mode.COLOR
 
     @property
     def stimuli(self) -> list[Stimulus]:
-        """All stimuli, without force; each lasts until the next one."""
+        """All stimuli, with unknown force (NaN). Each lasts until the next stimulus."""
         periods = np.diff(self.time_us, append=self.end_us)
         return [
             Stimulus(self.at_sites(drive), 1000 * int(time), math.nan, int(period))
@@ -144,7 +144,7 @@ class Mixture:
         ]
 
     def at_sites(self, drive: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the activation, (3, E), for a drive of each class, (3,), at all sites."""
+        """Return the activation, (3, E), that applies a drive of each class, (3,), to all sites."""
         activation = np.zeros((len(Afferent), self.electrodes), np.float32)
         activation[:, self.sites] = drive[:, None]
         return activation
@@ -156,14 +156,14 @@ class Mixture:
 
 def mix_colors(
     trace: Trace,
-    # its force law defines the force of full SAI drive, its limits the shortest period
+    # The force law defines the force of full SAI drive, the limits define the shortest period.
     profile: Profile,
-    bank: KernelBank,  # its kernels determine which classes the board can stimulate
-    sites: Collection[int] | None = None,  # stimulated electrodes; `disc` by default
+    bank: KernelBank,  # kernels; a class without kernels cannot be stimulated
+    sites: Collection[int] | None = None,  # stimulated electrodes; by default those of `disc`
     timing: ScanTiming | None = None,  # timing of the board's scans
     vibrated: bool = False,  # whether a mechanical vibrator stimulates PC
 ) -> Mixture:
-    """Return the pulses that reproduce a trace.
+    """Return the pulses that reproduce a trace of vibration and pressure.
 
     Examples
     --------
@@ -187,9 +187,9 @@ def mix_colors(
     electrical = [afferent for afferent in pulsing if not (shaking and afferent is Afferent.PC)]
     if len(electrical) > 1 and (timing.whole_hz or timing.every_electrode or timing.in_index_order):
         raise ScheduleError(
-            f"{_names(electrical)} respond to this, each at its own rate, "
+            f"{_names(electrical)} respond to this vibration, each at a different rate, "
             "but this board scans all electrodes at one rate: choose another board, or "
-            "a stimulus to which only one class responds"
+            "a vibration to which only one class responds"
         )
     least_us = shortest_us(profile, len(places) * max(1, len(electrical)), timing)
     ideal = {}
@@ -225,7 +225,7 @@ def _drivable(
     places: NDArray[np.intp],
     vibrated: bool,
 ) -> tuple[list[Afferent], tuple[Afferent, ...]]:
-    """Return the responding classes that the board can stimulate, and those that it cannot."""
+    """Split the responding classes into those that the board can stimulate and all others."""
     drivable = [
         afferent
         for afferent in Afferent
@@ -236,15 +236,15 @@ def _drivable(
     left_out = tuple(afferent for afferent in answering if afferent not in drivable)
     if left_out and len(left_out) == len(answering):
         raise ScheduleError(
-            f"only {_names(left_out)} would respond to this, but the "
-            f"board of {profile.name} drives {_names(drivable)} at these "
-            "sites: choose another profile, or a stimulus to which other classes respond"
+            f"only {_names(left_out)} would respond to this vibration, but the "
+            f"board of {profile.name} stimulates only {_names(drivable)} at these "
+            "sites: choose another profile, or a vibration to which other classes respond"
         )
     return [afferent for afferent in answering if afferent in drivable], left_out
 
 
 def _drive_at(answer: ReceptorResponse, time_us: Times, duration_s: float) -> NDArray[np.float32]:
-    """Return the drive at some times, (K,)."""
+    """Return the drive of a class at the given times, (K,)."""
     last = len(answer.drive) - 1
     sample = np.rint(time_us * ((last + 1) / duration_s / 1e6)).astype(np.intp)
     return np.asarray(answer.drive[np.minimum(sample, last)], np.float32)
@@ -255,9 +255,9 @@ LONGEST_US = 20_000
 
 
 class ColorSource(StimulusSource):
-    """Source of the pulses of a mixture.
+    """Source that plays the stimuli of a mixture.
 
-    If sequences take longer than planned, pulses wait, and several stimuli are merged.
+    If a sequence takes longer than planned, the stimuli that become due are merged into one.
     """
 
     frames: int
@@ -300,13 +300,14 @@ def notes(mixture: Mixture) -> list[str]:
     sentences = []
     if mixture.left_out:
         names = _names(mixture.left_out)
-        sentences.append(f"{names} would respond, but this board cannot stimulate it here")
+        sentences.append(f"{names} would respond, but this board cannot stimulate {names} here")
     for afferent, ideal_us in mixture.ideal_us.items():
         spikes = len(mixture.answers[afferent].spike_s)
         if afferent is not Afferent.PC and len(ideal_us) < 0.9 * spikes:
             sentences.append(
                 f"{afferent.name} gets {len(ideal_us)} of {spikes} pulses: a sequence for "
-                f"{len(mixture.sites)} sites takes {mixture.least_us / 1000:.1f} ms, choose fewer"
+                f"{len(mixture.sites)} sites takes {mixture.least_us / 1000:.1f} ms: choose fewer "
+                "sites"
             )
     return sentences
 
@@ -322,9 +323,9 @@ def open_vibration(
 ) -> ColorSource:
     """Open ``vibration:SPEC`` or ``vibration:CSV``, a trace as for `open_trace`.
 
-    Each class pulses as its receptors would respond, at ``sites`` (27,28,35-36 or all). The
-    display's board determines which classes can be mixed; without a display there is no
-    restriction. If ``vibrated``, a mechanical vibrator stimulates PC.
+    Each class is pulsed at the times of its receptors' spikes, at ``sites`` (27,28,35-36 or all).
+    With a display, its board determines which classes can be mixed. If ``vibrated``, a mechanical
+    vibrator stimulates PC.
     """
     trace = open_trace(rest, seconds)
     bank, places = load_bank(profile), parse_places(profile, sites)
@@ -336,6 +337,6 @@ def open_vibration(
         worst_other = bank.off_target[Afferent.PC].max()
         source.notes.append(
             f"PC pulses stimulate another class up to {worst_other:.1f} times as strongly as PC: "
-            "current cannot stimulate PC alone"
+            "electrodes cannot stimulate only PC"
         )
     return source

@@ -30,16 +30,16 @@ from smarttouch.sources.source_contract import (
 )
 from smarttouch.views.delivered_drawing import DeliveredDrawing, Under
 
-_UNBOUNDED_MM = (150.0, 100.0)  # shown part of an unbounded texture
+_UNBOUNDED_MM = (150.0, 100.0)  # size of the part of an unbounded texture that is shown
 _LONGEST_PX = 1000
-_ROUNDING_MM = 1.0  # tolerance of the page's pointer at the edges
+_ROUNDING_MM = 1.0  # distance by which the pointer can be outside of the texture (rounding)
 
 
 class PageMotion(HandMotion):
     """Motion of the pointer over the texture in the run's window, starting at the middle of the
     texture."""
 
-    resolution_mm: float = 0.25  # about one pixel of the page
+    resolution_mm: float = 0.25  # about one pixel of the picture in the window
 
     def __init__(self, texture: Texture) -> None:
         super().__init__("the pointer over the page")
@@ -56,7 +56,7 @@ class PageMotion(HandMotion):
         self._place_mm = middle
 
     def move(self, x_mm: float, y_mm: float) -> None:
-        """Move the hand to a place on the texture. Raises ValueError outside of the sheet."""
+        """Move the hand to a place, mm. Raises ValueError if it is not on the texture."""
         sides = zip((x_mm, y_mm), self.sheet.corner_mm, self.sheet.page.size_mm, strict=True)
         if not all(-_ROUNDING_MM <= at - low <= size + _ROUNDING_MM for at, low, size in sides):
             raise ValueError(f"{x_mm:g}, {y_mm:g} mm is not on the texture")
@@ -65,25 +65,25 @@ class PageMotion(HandMotion):
     def read(self, time_ns: int) -> tuple[float, float]:
         """Return the displacement of the pointer from the middle of the texture."""
         if not self.is_shown:
-            raise SourceError("motion=page follows the pointer over a run's page: open its window")
+            raise SourceError("motion=page follows the pointer in the run's window: add --window")
         x, y = self._place_mm
         return x - self.origin_mm[0], y - self.origin_mm[1]
 
 
 SLIDES = 1.5
-"""Lag, in counts, of the place behind a moving hand: jitter by one count along both axes (2.8
-counts from end to end) does not move it back."""
+"""Lag, in mouse counts, of the filtered place behind a moving hand. It exceeds jitter by one count
+along both axes (1.4 counts from the middle), so jitter does not move the filtered place back."""
 STICKS = 4.5
-"""Distance, in counts, that a resting hand must move to be followed: the lag plus jitter."""
-
-_ROUNDING = 1 + 1e-6  # tolerance for rounding at the end of a slide
+"""Distance, in mouse counts, that a resting hand must move before the filter follows: the lag plus
+the jitter from end to end."""
+_ROUNDING = 1 + 1e-6  # tolerance for rounding errors if the hand has moved exactly this distance
 
 
 class Deadband:
-    """Filter that follows a place with hysteresis, like a block pulled by a rubber band.
+    """Filter with hysteresis that removes the jitter of a resting hand.
 
-    After the place has rested for one read, jitter by one count (`resolution_mm`) along both axes
-    does not move the result. A resolution of 0 follows exactly.
+    After the hand has rested for one read, jitter by one count (`resolution_mm`) along both axes
+    does not change the filtered place. With a resolution of 0 the filter changes nothing.
     """
 
     def __init__(self, resolution_mm: float) -> None:
@@ -105,7 +105,7 @@ class Deadband:
 
 
 class TexturePicture(DeliveredDrawing):
-    """Draws the strongest response at each place: there are too few pulses for a mean."""
+    """Drawing of the strongest response at each place, because pulses are too few for a mean."""
 
     strongest: bool = True
     longest_px: int = 3000
@@ -129,7 +129,7 @@ class TexturePicture(DeliveredDrawing):
     def under(self) -> Under:
         """Return the part of the texture that the array passed over."""
         if not np.isfinite(self._least).all():
-            raise SmartTouchError("the hand received no stimulus: there is nothing to draw")
+            raise SmartTouchError("the run sent no step, so there is nothing to draw: run longer")
         half = np.abs(self._position_mm).max(axis=0) + np.array(self._cell_mm)
         corner, end = self._least - half, self._most + half
         left, top = corner.tolist()
@@ -143,14 +143,14 @@ FASTEST_HZ = 100.0
 """Highest pulse rate that people interpret correctly (paper, Sections III-B.3 and V)."""
 SLOWEST_RATE_HZ = 10.0
 JUMP_MM = 20.0
-"""Largest motion between two frames: 2 m/s at 100 Hz. Larger changes mean that tracking was lost,
-so no ridge counts as passed."""
+"""Largest motion between two frames, 2 m/s at 100 Hz. A larger change means that tracking was lost,
+so the ridges between the two places cause no pulses."""
 _EARLY = 1e-3
-"""Tolerance of the shortest time between two pulses: times are rounded to µs."""
+"""Relative tolerance of the shortest time between two pulses, because times are rounded to µs."""
 
 
 class PulseLimit:
-    """Limits the pulse rate of each electrode, and counts omitted pulses."""
+    """Limit of the pulse rate of each electrode, with a count of the omitted pulses."""
 
     def __init__(self, electrodes: int, fastest_hz: float) -> None:
         self._shortest_ns = int((1 - _EARLY) * 1e9 / fastest_hz)
@@ -158,7 +158,7 @@ class PulseLimit:
         self.left_out: int = 0
 
     def keep(self, wanted: NDArray[np.float32], time_ns: int) -> NDArray[np.float32]:
-        """Return the allowed pulses, (E,); others become zero."""
+        """Return the pulses, (E,), with each pulse that comes too early set to zero."""
         active = wanted > 0
         due = active & (time_ns - self._last_ns >= self._shortest_ns)
         self._last_ns[due] = time_ns
@@ -169,9 +169,9 @@ class PulseLimit:
 class MouseSource(StimulusSource):
     """Source in which an electrode pulses when a ridge of the texture passes under it.
 
-    The pulse rate of an electrode is spatial frequency times speed, the pattern stays in place, and
-    a hand at rest receives no pulses (paper, Section IV-C). The pose of a stimulus is the place of
-    the array's middle on the texture; its image is the texture under the array.
+    The pulse rate of an electrode is the texture's spatial frequency times the hand's speed. The
+    texture stays in place, and a hand at rest receives no pulses (paper, Section IV-C). A stimulus
+    has the place of the array's center on the texture as pose, and the texture there as image.
     """
 
     frames: int
@@ -187,17 +187,17 @@ class MouseSource(StimulusSource):
         profile: Profile,
         mode: Mode = Mode.RA,  # class to stimulate: RA, SAI or PC
         rate_hz: float = USUAL_RATE_HZ,  # frames per second
-        # Force of a virtual finger if the motion does not report one. Real boards need a real
-        # source of force.
+        # Force of the virtual finger, if the motion reports no force. A real board needs a source
+        # of the real force.
         press_n: float | None = None,
     ) -> None:
         super().__init__(f"{texture.title} under {motion.title}")
         if len(mode.afferents) != 1:
-            message = f"mode {mode} is more than one class: choose RA, SAI or PC"
+            message = f"mode {mode} stimulates more than one class: choose RA, SAI or PC"
             raise SourceError(message)
         words, most_hz = f"a rate of {rate_hz:g} frames a second", profile.limits.rate_hz
         require_within(SourceError, "rate_hz", rate_hz, SLOWEST_RATE_HZ, most_hz, words)
-        # Limited by the finger's resolution and by half of the frame rate.
+        # Smaller of the rate that people can interpret and half of the frame rate.
         self.fastest_hz: float = min(FASTEST_HZ, rate_hz / 2)
         self.duration_s: float | None = motion.duration_s
         self.knows_force: bool = motion.knows_force or press_n is not None
@@ -206,7 +206,7 @@ class MouseSource(StimulusSource):
         self.motion: HandMotion = motion
         self.pointer: PageMotion | None = motion if isinstance(motion, PageMotion) else None
         self.mode: Mode = mode
-        self.merged: int = 0  # number of ridges that passed together with another one in a frame
+        self.merged: int = 0  # ridges that passed an electrode in the same frame as another ridge
         self._electrodes = len(profile.electrodes)
         self._limit = PulseLimit(self._electrodes, self.fastest_hz)
         self._afferent: Afferent = mode.afferents[0]
@@ -247,11 +247,11 @@ class MouseSource(StimulusSource):
         )  # fmt: skip
 
     def drawing(self, profile: Profile, bank: KernelBank) -> TexturePicture:
-        """Return the drawing for this source, see `TexturePicture`."""
+        """Return an empty drawing, in which a run with this source draws its responses."""
         return TexturePicture(profile, bank, (self._afferent,), self.texture)
 
     def close(self) -> None:
-        """Close the motion; add a note about omitted pulses."""
+        """Close the motion, and add notes about omitted pulses and merged ridges."""
         self._sum_up()
         self.motion.close()
         for note in [*self.texture.notes, *self.motion.notes]:
@@ -271,8 +271,8 @@ class MouseSource(StimulusSource):
             self.emit(
                 Note(
                     time_ns,
-                    f"the texture passes faster than {self.fastest_hz:g} pulses a second "
-                    "can follow: some are left out",
+                    f"more than {self.fastest_hz:g} ridges a second pass an electrode, so some "
+                    "pulses are left out: move more slowly",
                 )
             )
         return kept_pulses
@@ -288,21 +288,21 @@ class MouseSource(StimulusSource):
         if self._limit.left_out:
             self._said.put(
                 "left out",
-                f"{self._limit.left_out} pulses of single electrodes were left out, above "
-                f"{self.fastest_hz:g} a second: move more slowly, or raise rate and limit",
+                f"{self._limit.left_out} pulses were left out, because an electrode pulses at most "
+                f"{self.fastest_hz:g} times a second: move more slowly, or raise rate_hz",
             )
         if self.merged:
             self._said.put(
                 "merged",
-                f"{self.merged} ridges passed an electrode together with another in one frame: "
-                "move more slowly",
+                f"{self.merged} ridges caused no pulse, because another ridge passed the same "
+                "electrode in the same frame: move more slowly",
             )
 
 
 def open_motion_over(texture: Texture, url: str, profile: Profile, **options: Any) -> HandMotion:
-    """Open a motion by its URL, with options that follow from the texture or the profile.
+    """Open a motion by its URL, with the options that depend on the texture or the profile.
 
-    ``page`` is the pointer over the page of the run's window.
+    The URL ``page`` selects the pointer in the run's window.
     """
     if url == "page":
         return PageMotion(texture)
@@ -322,9 +322,8 @@ def open_texture_source(
 ) -> MouseSource:
     """Open ``texture:WHAT?motion=URL``: a texture as for `open_texture`, under a moving hand.
 
-    The motion is the last option and may have its own, as in
-    ``grating:4mm?motion=sweep:3?speed_mm_s=20``. The default is a virtual hand that sweeps over the
-    texture.
+    The option ``motion`` must be the last, because its URL can have options, as in
+    ``grating:4mm?motion=sweep:3?speed_mm_s=20``. By default a virtual hand sweeps over the texture.
     """
     what, *motions = _MOTION.split(rest, maxsplit=1)
     surface, reading = open_texture(what or "grating:4mm"), profile_for_reading(profile)

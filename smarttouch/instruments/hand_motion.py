@@ -32,15 +32,15 @@ _NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
 
 
 class HandMotion(Device, ABC):
-    """Base of sources of a hand's displacement.
+    """Base class of sources of a hand's displacement.
 
-    The motion starts at `origin_mm` from the texture's top left corner, set by the first read; None
-    means the middle. If `knows_force`, `force_n` is the finger's force at the last read.
+    The motion starts at `origin_mm` from the texture's top left corner, which is known after the
+    first read; None means the middle. If `knows_force`, `force_n` is the force at the last read.
     """
 
     duration_s: float | None = None  # duration of the motion; None if endless
     resolution_mm: float = 0.0
-    """Resolution of the motion, which is also its jitter at rest."""
+    """Resolution of the motion; at rest, the motion jitters by this amount."""
 
     def __init__(self, title: str) -> None:
         super().__init__(title)
@@ -50,13 +50,13 @@ class HandMotion(Device, ABC):
 
     @abstractmethod
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return the displacement from the start, mm right and down; None at the end."""
+        """Return the displacement since the start, mm right and down; None after the end."""
 
 
 def open_motion(url: str, **options: Any) -> HandMotion:
-    """Open ``sweep:``, ``evdev:DEVICE``, ``path:CSV``, or any source with a pose.
+    """Open a motion: ``sweep:``, ``evdev:DEVICE``, ``path:CSV``, or any source with a pose.
 
-    Options may also be in the URL, as in ``sweep:?speed_mm_s=20``; None means the default.
+    The URL can contain the options, as in ``sweep:?speed_mm_s=20``. None selects the default.
     """
     kind, colon, rest = url.partition(":")
     openers: dict[str, Callable[..., HandMotion]] = {
@@ -81,9 +81,9 @@ def open_path(rest: str) -> "PathMotion":
 
 
 class PathMotion(HandMotion):
-    """Motion along the points of a table, in straight lines.
+    """Motion in straight lines between the points of a CSV file.
 
-    The CSV file has columns ``time_s``, ``x_mm``, ``y_mm`` (from the texture's top left corner) and
+    The file has columns ``time_s``, ``x_mm``, ``y_mm`` (from the texture's top left corner) and
     optionally ``force_n``; other columns are ignored.
     """
 
@@ -100,7 +100,7 @@ class PathMotion(HandMotion):
         self.origin_mm: tuple[float, float] = (float(table[0, 1]), float(table[0, 2]))
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return the displacement from the first point; None after the last."""
+        """Return the displacement from the first point; None after the last point."""
         time_s, times = time_ns / 1e9, self._table[:, 0]
         if time_s > times[-1]:
             return None
@@ -120,7 +120,7 @@ def open_posed_source(url: str, *, profile: Profile | None = None) -> "SourceMot
 
 
 class SourceMotion(HandMotion):
-    """Motion from the pose of a source, which it closes at the end."""
+    """Motion that follows the pose of a source; `close` closes the source."""
 
     resolution_mm = _IMAGE_RESOLUTION_MM
 
@@ -134,7 +134,7 @@ class SourceMotion(HandMotion):
         self._first: Pose | None = None
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return the displacement of the source since its first frame; None at its end."""
+        """Return the displacement since the first frame of the source; None after the last."""
         frame = self._source.read(time_ns)
         if frame is None:
             return None
@@ -166,7 +166,7 @@ def open_sweep(
     lane_mm: float = 16.0,
     origin_mm: tuple[float, float] | None = None,
 ) -> "SweepMotion":
-    """Open ``sweep:`` or ``sweep:ROUNDS``; options are those of `SweepMotion` and the origin."""
+    """Open ``sweep:`` or ``sweep:ROUNDS``; for the options see `SweepMotion` and `HandMotion`."""
     if rest and not (rest.isdecimal() and 0 < int(rest) <= _MOST_ROUNDS):
         raise SourceError(
             f"sweep:{rest} is not a number of rounds: give 1 to {_MOST_ROUNDS}, as in sweep:3"
@@ -177,7 +177,7 @@ def open_sweep(
 
 
 def strokes_over(size_mm: tuple[float, float], array_mm: tuple[float, float]) -> dict[str, Any]:
-    """Return options for strokes that move all electrodes over a texture."""
+    """Return the options of `open_sweep` for strokes that move all electrodes over a texture."""
     (width, height), (across, down) = size_mm, array_mm
     return {
         "span_mm": (width + across, height),
@@ -187,14 +187,14 @@ def strokes_over(size_mm: tuple[float, float], array_mm: tuple[float, float]) ->
 
 
 class SweepMotion(HandMotion):
-    """Strokes over an area, lane by lane, and back the same way, with rests between strokes."""
+    """Virtual hand that sweeps an area lane by lane and back, with a rest after each stroke."""
 
     def __init__(
         self,
         speed_mm_s: float = USUAL_MM_S,  # speed of strokes
         span_mm: tuple[float, float] = (60.0, 0.0),  # width and height of the area
         lane_mm: float = 16.0,  # largest distance between lanes
-        rounds: int = USUAL_ROUNDS,  # number of rounds, each forth and back
+        rounds: int = USUAL_ROUNDS,  # number of rounds, each along all lanes and back
     ) -> None:
         require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
         super().__init__(f"a virtual hand at {speed_mm_s:g} mm/s")
@@ -202,7 +202,7 @@ class SweepMotion(HandMotion):
         if rounds * len(points) > _MOST_STROKES:
             raise SourceError(
                 f"{rounds} rounds of {len(points) // 2} lanes are more strokes than "
-                f"{_MOST_STROKES}: ask for fewer"
+                f"{_MOST_STROKES}: give fewer rounds or a smaller texture"
             )
         self._table = _timed(np.vstack([points[:1], *[points[1:]] * rounds]), speed_mm_s)
         self.duration_s: float = float(self._table[-1, 0])
@@ -229,7 +229,7 @@ def _round_trip(span_mm: tuple[float, float], lane_mm: float) -> NDArray[np.floa
 
 
 def _timed(points: NDArray[np.float64], speed_mm_s: float) -> NDArray[np.float64]:
-    """Return the times of arrival at and departure from each point, (2 N, 3): s, mm, mm."""
+    """Return two rows for each point, its arrival and its departure, (2 N, 3): s, mm, mm."""
     strokes_s = np.hypot(*np.diff(points, axis=0).T) / speed_mm_s
     comes = np.concatenate([[0.0], START_S + np.cumsum(strokes_s + REST_S) - REST_S])
     leaves = comes + REST_S
@@ -241,19 +241,19 @@ def _timed(points: NDArray[np.float64], speed_mm_s: float) -> NDArray[np.float64
 USUAL_CPI = 800.0  # counts per inch of most mice
 _FOLDER = Path("/dev/input")
 _WAIT_S = 0.1
-_LOST = "some motion of the mouse was lost: the machine is too busy"
+_LOST = "some motion of the mouse was lost, as the computer is too busy: close other programs"
 _GROUP = "join the group input (sudo usermod -aG input $USER) and log in again"
 
 
 def open_evdev(rest: str, *, cpi: float = USUAL_CPI) -> "EvdevMotion":
-    """Open ``evdev:DEVICE``, or the first mouse if no device is given; options are those of
-    `EvdevMotion`."""
+    """Open ``evdev:DEVICE``, or the first mouse if no device is given. ``cpi`` is the mouse's
+    resolution in counts per inch."""
     require_within(SourceError, "cpi", cpi, 10, 100_000, f"a mouse of {cpi:g} counts per inch")
     return EvdevMotion(_open(rest) if rest else _first_mouse(), cpi)
 
 
 class EvdevMotion(HandMotion):
-    """Motion of a mouse: a thread adds up its counts."""
+    """Motion of a mouse, whose counts are added up by a thread."""
 
     def __init__(self, device: "InputDevice[str]", cpi: float) -> None:
         super().__init__(f"{device.name} at {cpi:g} counts per inch")
@@ -314,13 +314,13 @@ def _open(path: str) -> "InputDevice[str]":
     try:
         device: InputDevice[str] = evdev.InputDevice(path, readonly=True)
     except PermissionError:
-        raise SourceError(f"you may not read {path}: {_GROUP}") from None
+        raise SourceError(f"you have no permission to read {path}: {_GROUP}") from None
     except OSError as error:
         raise SourceError(f"{path} is not an input device: {error.strerror or error}") from None
     if not _is_mouse(device):
         name = device.name
         device.close()
-        raise SourceError(f"{path}, {name}, reports no motion along two axes: choose a mouse")
+        raise SourceError(f"{path} ({name}) does not report motion along two axes: choose a mouse")
     return device
 
 
@@ -332,7 +332,7 @@ def _first_mouse() -> "InputDevice[str]":
             if _is_mouse(device):
                 return device
             device.close()
-    raise SourceError(f"there is no mouse that you may read in {_FOLDER}: connect one, or {_GROUP}")
+    raise SourceError(f"no mouse in {_FOLDER} can be read: connect a mouse, or {_GROUP}")
 
 
 def _is_mouse(device: "InputDevice[str]") -> bool:

@@ -1,11 +1,11 @@
 """Reliefs: textures from images and texts, and the pulses of electrodes that move over them.
 
-On a grating pulses follow its phase; images have no phase. The rule here gives the same pulses on
-gratings, and also fills areas: **each pulse represents one grain of motion over high ground**. A
-place is high if it exceeds its surroundings. Its depth is the distance to the edge of the high
-ground, at most half a grain. An electrode pulses at the maxima of depth along its path: in the
-middle of a ridge narrower than a grain, or half a grain inside the edge of an area. From there it
-pulses after each grain of motion, also along a ridge or stroke.
+On a grating an electrode pulses once per cycle of the phase, but an image has no phase. The rule of
+this module causes the same pulses on gratings and suits any image: **one pulse for each grain
+(`grain_mm`) of motion over a raised area**. A place is raised if it is higher than the mean of its
+surroundings. Its depth is its distance to the edge of the raised area, at most half a grain. An
+electrode pulses where depth has a maximum along its path: in the middle of a ridge narrower than a
+grain, or half a grain inside a wide area. Then it pulses after each grain, also along ridges.
 """
 
 import math
@@ -32,9 +32,9 @@ from smarttouch.pages.page_image import require_size_mm
 from smarttouch.pages.prepared_page import print_text
 
 LETTER_MM = 12.0  # height of printed letters, with strokes wide enough for electrodes 2 mm apart
-_PRINTED_MM = 4.2  # height of letters by `print_text`, ascender to descender
+_PRINTED_MM = 4.2  # height of the letters that `print_text` draws, ascender to descender
 _MARGIN_MM = 4.0
-_LEAST_RANGE = 7.65  # smallest range of gray levels of an image that is not flat
+_LEAST_RANGE = 7.65  # range of gray levels, of 255, up to which an image counts as flat
 
 
 class Heights(NamedTuple):
@@ -46,7 +46,7 @@ class Heights(NamedTuple):
 
 
 def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = None) -> Heights:
-    """Load an image in which ink is high. A scale is required if the file does not state one."""
+    """Load an image as a height map; dark is high. If the file states no scale, give one."""
     with Document(path, dpi=dpi, page_width_mm=width_mm) as document:
         page = document.page(0)
     if document.notes:
@@ -57,7 +57,7 @@ def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = 
 
 
 def print_heights(text: str, width_mm: float | None = None) -> Heights:
-    """Print a text in large letters, 12 mm high, or scaled to a given total width."""
+    """Return the height map of a text in letters 12 mm high, or scaled to ``width_mm``."""
     page = print_text(text)
     mm_per_pixel = page.mm_per_pixel * LETTER_MM / _PRINTED_MM
     ink = page.grey < 128
@@ -73,39 +73,39 @@ def print_heights(text: str, width_mm: float | None = None) -> Heights:
 
 
 def _stretched(name: str, values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Scale values to 0 to 1; a few outliers are clipped."""
+    """Scale values to the range 0 to 1; the 0.5 % at each end are clipped."""
     low, high = np.percentile(values, (0.5, 99.5))
     if high - low <= _LEAST_RANGE:
         low, high = values.min(), values.max()
     if high - low <= _LEAST_RANGE:
-        message = f"{name} is flat: nothing on it could be felt"
+        message = f"{name} is flat, nothing could be felt: choose an image with more contrast"
         raise PageError(message)
     return np.asarray(np.clip((values - low) / (high - low), 0, 1), np.float32)
 
 
-GRAIN_MM = 2.0  # default grain, which is the pitch of the paper's electrodes
+GRAIN_MM = 2.0  # default distance between pulses: the pitch of the paper's electrodes
 _PER_GRAIN = 20  # pixels of the map per grain
 _FINEST_MM, _COARSEST_MM = 0.02, 0.1
 _MOST_PIXELS = 16_000_000
-_LONGEST_SIDE = 32_000  # longest side of a map: OpenCV's sampling uses 16-bit coordinates
+_LONGEST_SIDE = 32_000  # longest side of a map, px: OpenCV samples with 16-bit coordinates
 _LOWEST, _HIGHEST = 0.25, 0.75
-"""Heights below which a place is always low, and above which it is always high. Between them, its
-surroundings decide."""
-_AROUND = 2.5  # width of the surroundings, in grains; the standard deviation is one grain
-_BLUR_MM = 0.2  # blur that removes noise of photographs; a line half as wide stays high
+"""A place below the first height is always low, and a place above the second is always raised.
+Between them, the threshold is the mean height of the surroundings."""
+_AROUND = 2.5  # side of each of two box filters, in grains; together, sigma is one grain
+_BLUR_MM = 0.2  # sigma of the blur that removes noise of photographs; lines of 0.1 mm remain
 
 
 class Relief(Texture):
-    """Texture with a height map, and the depth of each place within high ground.
+    """Texture with a height map, and the depth of each place within a raised area.
 
-    `height` is (H, W) in [0, 1]. `depth`, (H, W) mm, is the distance to the edge of the high
-    ground, at most half a grain. `pixel_mm` is the pixel size of both maps.
+    `height` is (H, W) in [0, 1]. `depth`, (H, W) mm, is the distance to the edge of the raised
+    area, at most half a grain. `pixel_mm` is the pixel size of both maps.
     """
 
     def __init__(
         self,
-        heights: Heights,  # height map; high is dark
-        grain_mm: float = GRAIN_MM,  # distance between two pulses on wide high ground
+        heights: Heights,  # height map
+        grain_mm: float = GRAIN_MM,  # distance between two pulses on a wide raised area
         inverted: bool = False,  # whether to exchange high and low
     ) -> None:
         rows, columns = heights.height.shape
@@ -132,14 +132,13 @@ class Relief(Texture):
         self._surface = np.asarray(np.rint(255 * (1 - self.height)), np.uint8)
 
     def feeler(self, position_mm: NDArray[np.float64]) -> TextureSampler:
-        """Return a sampler of electrodes over it."""
-
+        """Return a sampler for electrodes that move over this relief."""
         return ReliefFeeler(self, position_mm)
 
     def draw(
         self, left_mm: float, top_mm: float, shape: tuple[int, int], pixel_mm: float
     ) -> NDArray[np.uint8]:
-        """Return a part of it as ink on paper, (H, W) uint8."""
+        """Return a part of the relief as gray levels, (H, W) uint8; dark is high."""
         by_x, by_y = pixel_mm / self.scale_mm[0], pixel_mm / self.scale_mm[1]
         left, top = left_mm / self.scale_mm[0], top_mm / self.scale_mm[1]
         to_map = np.array([[by_x, 0, left + by_x / 2 - 0.5], [0, by_y, top + by_y / 2 - 0.5]])
@@ -154,10 +153,10 @@ class Relief(Texture):
         return np.asarray(drawn, np.uint8)
 
     def _measure_depth(self) -> NDArray[np.float32]:
-        """Return the depth of each place within high ground, (H, W) mm."""
+        """Return the depth of each place within a raised area, (H, W) mm."""
         half = self.grain_mm / 2
         margin = math.ceil(_AROUND * self.grain_mm / self.pixel_mm)
-        # Outside of the map everything is low, but the surroundings continue as at the edge.
+        # Places outside of the map are low, but for the mean of the surroundings repeat the edge.
         wide = cv2.copyMakeBorder(self.height, *(margin,) * 4, cv2.BORDER_REPLICATE)
         # Two box filters approximate a Gaussian, in a time that does not depend on their width.
         side = 2 * round(_AROUND * self.grain_mm / self.pixel_mm / 2) + 1
@@ -173,18 +172,18 @@ class Relief(Texture):
         return np.asarray(depth[inside].copy(), np.float32)
 
 
-_STROKE = 0.15  # smallest depth of a stroke along which an electrode pulses, in grains
+_STROKE = 0.15  # smallest depth, in grains, at which an electrode pulses after each grain
 _STEP = 1.25  # distance between samples along the path, in pixels of the map
 _MOST_SAMPLES = 64
 _FULL = 0.96
-"""Depth, relative to half a grain, above which it counts as full: tolerance for rounding and
-blur."""
-_RISEN = 0.5
-"""Relative rise that makes a ridge: a path along the crest of a ridge must not pass new ones."""
+"""Depth, relative to half a grain, that counts as the largest: rounding and blur lower depths."""
+_LEAST_RISE = 0.5
+"""Smallest rise of depth to a crest, relative to the depth there. Smaller variations, as on a path
+along a crest, are not new crests."""
 
 
 class ReliefFeeler:
-    """Samples the depth along the path of each electrode, and finds its maxima."""
+    """Sampler of the depth along the path of each electrode, which finds the maxima."""
 
     # Places are complex numbers, x + iy in mm, which is twice as fast as two arrays.
 
@@ -198,14 +197,14 @@ class ReliefFeeler:
         self._least_mm = relief.pixel_mm / 2
         self._ground_mm = np.float32(_STROKE * relief.grain_mm)
         self._within_mm = relief.grain_mm / 2 - float(self._ground_mm)
-        """Distance of an electrode over high ground to its first pulse."""
+        """Motion from the place where depth reaches `_ground_mm` to the first pulse."""
         self._all = np.arange(len(position_mm))
         self._nothing = RidgeCrossing(np.zeros(len(position_mm), np.float32), 0)
         self._nothing.height.flags.writeable = False
         self.place(0.0, 0.0)
 
     def place(self, x_mm: float, y_mm: float) -> None:
-        """Set the place of the array's middle; on high ground electrodes pulse after one grain of
+        """Set the place of the array's center. Electrodes on a raised area pulse after one grain of
         motion."""
         self._place = complex(x_mm, y_mm)
         x, y = self._on_map(np.array([self._place]))
@@ -214,10 +213,10 @@ class ReliefFeeler:
         self._pulsed = np.full(len(self._all), self._place)
         """Place of the array at the last pulse of each electrode."""
         self._entered = self._pulsed.copy()
-        """Place of the array when each electrode reached high ground."""
+        """Place of the array when each electrode entered a raised area."""
 
     def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
-        """Move the array; motion shorter than the sample distance is added to the next."""
+        """Move the array. Motion shorter than the sample distance is carried to the next call."""
         by = complex(x_mm, y_mm) - self._place
         samples = int(abs(by) / self._step_mm)
         if not samples:
@@ -252,7 +251,7 @@ class ReliefFeeler:
             self._lowest = lowest[-1]
             return self._nothing
         self._lowest = np.where(pulsed, depth[-1], lowest[-1])
-        # Carry the motion beyond the last pulse over to the next one.
+        # Count the motion since the last pulse toward the next pulse.
         gone, grain_mm = places[-1] - self._pulsed, self._relief.grain_mm
         gone_mm = np.maximum(np.abs(gone), grain_mm)
         over = gone_mm - grain_mm < step_mm * (len(places) - 2)
@@ -266,12 +265,12 @@ class ReliefFeeler:
     def _crests(
         self, depth: NDArray[np.float32], lowest: NDArray[np.float32], step_mm: float
     ) -> tuple[NDArray[np.bool_], NDArray[np.intp], int]:
-        """Return which electrodes passed a crest, the sample of the last one, and the number of
-        others."""
+        """Return which electrodes passed a crest, the sample of their last crest, and the number of
+        electrodes that passed more than one crest."""
         middle = depth[1:-1]
-        # Level ground is a crest only when it falls: wide ground pulses by distance.
+        # A plateau is a crest only at its far end: on a wide plateau `_inside` causes the pulses.
         crest = (middle >= depth[:-2]) & (middle > depth[2:]) & (middle > self._least_mm)
-        crest &= middle - lowest[1:-1] >= _RISEN * middle
+        crest &= middle - lowest[1:-1] >= _LEAST_RISE * middle
         last = len(crest) - crest[::-1].argmax(axis=0)
         is_crest = crest[last - 1, self._all]
         if not is_crest.any():
@@ -284,7 +283,8 @@ class ReliefFeeler:
     def _inside(
         self, places: NDArray[np.complex128], depth: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
-        """Return which electrodes are on high ground, one grain from their last pulse."""
+        """Return which electrodes are on a raised area and a grain or more from their last
+        pulse."""
         low = depth[1:] < self._ground_mm
         entered = places[len(low) - low[::-1].argmax(axis=0)]
         self._entered = np.where(low.any(axis=0), entered, self._entered)
@@ -297,8 +297,8 @@ class ReliefFeeler:
     def _on_map(
         self, places: NDArray[np.complex128]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return columns and rows of electrodes on the map, (N, E) each, for places of the
-        array."""
+        """Return the columns and rows of the map, (N, E) each, at which the electrodes are for N
+        places of the array."""
         x_mm, y_mm = self._relief.scale_mm
         x, y = places.real / x_mm, places.imag / y_mm
         return (
@@ -307,7 +307,7 @@ class ReliefFeeler:
         )
 
     def _depth(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the depth at places on the map, (N, E) mm; full depths become equal."""
+        """Return the depth at places on the map, (N, E) mm, at most `_full_mm`."""
         return np.minimum(self._sample(self._relief.depth, x, y), self._full_mm)
 
     def _sample(
@@ -324,16 +324,16 @@ _NUMBER = r"([0-9]*\.?[0-9]+)"
 def open_texture(
     spec: str,
     *,
-    # dpi, width_mm: scale of a file that does not state one; width of a text
+    # dpi or width_mm: scale of an image file that states none; width_mm also: width of a text
     dpi: float | None = None,
     width_mm: float | None = None,
-    # distance between two pulses on wide high ground, default 2 mm
+    # distance between two pulses on a wide raised area, default 2 mm
     grain_mm: float | None = None,
     light_on_dark: bool = False,  # whether bright is high
 ) -> Texture:
     """Open a texture: ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or an image file.
 
-    Ink is high. Options may follow, as in ``wood.png?dpi=300``.
+    Dark is high. ``spec`` can end with options, as in ``wood.png?dpi=300``.
     """
     asked = {
         "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm,

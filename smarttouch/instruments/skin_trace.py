@@ -1,10 +1,10 @@
 """Traces of force and displacement on the skin, and the responses of receptors.
 
-A trace is a line of text such as ``tone:30Hz,8um+press:0.5N``, or a file. The parts of a line are
-added. All parts rise and fall within `RAMP_S`::
+A trace is given as a line of text such as ``tone:30Hz,8um+press:0.5N``, or as a CSV file. A line is
+the sum of its parts. Each part rises and falls within `RAMP_S`::
 
-    tone:250Hz,2um            a sinusoid, amplitude as half of peak to peak
-    press:0.5N                pressure
+    tone:250Hz,2um            a sinusoid; the amplitude is half of the peak-to-peak value
+    press:0.5N                constant force
 """
 
 import math
@@ -24,7 +24,7 @@ from smarttouch.stimulation.scheduler import SLOWEST
 
 Array = NDArray[np.float64]
 
-SAMPLE_HZ = 4000.0  # lowest sampling rate: four samples per cycle at 1 kHz, above PC's band
+SAMPLE_HZ = 4000.0  # lowest sampling rate: four times 1 kHz, which is above the band of PC
 HIGHEST_SAMPLE_HZ = 20_000.0
 LONGEST_S = 600.0
 
@@ -54,14 +54,14 @@ _TIME, _DISPLACEMENT, _FORCE = "time_s", "displacement_um", "force_n"
 def read_trace(path: Path) -> Trace:
     """Load a trace from a CSV file with ``time_s`` and ``displacement_um``, ``force_n`` or both.
 
-    It is resampled by linear interpolation, at its typical rate within `SAMPLE_HZ` and
-    `HIGHEST_SAMPLE_HZ`.
+    The trace is resampled by linear interpolation. The new rate is the median rate of the file,
+    limited to the range from `SAMPLE_HZ` to `HIGHEST_SAMPLE_HZ`.
     """
     columns = read_csv(path, SmartTouchError, (_TIME,), (_DISPLACEMENT, _FORCE))
     time = columns.pop(_TIME)
     if not columns:
         raise SmartTouchError(
-            f"{path} has no column displacement_um or force_n beside time_s: name one so"
+            f"{path} has only the column time_s: add a column displacement_um or force_n"
         )
     lasts_s = float(time[-1] - time[0])
     if lasts_s > LONGEST_S:
@@ -74,7 +74,7 @@ def read_trace(path: Path) -> Trace:
     return Trace(displacement, force, sample_hz, str(path))
 
 
-RAMP_S = 0.05  # rise and fall of each part, half a period of a cosine (our choice)
+RAMP_S = 0.05  # duration of the rise and of the fall, each half a period of a cosine (our choice)
 HIGHEST_HZ = 1000.0
 _NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
 _AMPLITUDE = rf"{_NUMBER}(?:um|µm|μm)"
@@ -86,12 +86,12 @@ _EXAMPLE = "write for example tone:30Hz,8um+press:0.5N"
 
 
 def open_trace(text: str, seconds: float = 2.0) -> Trace:
-    """Return the trace for a line in this module's syntax, or from a CSV file.
+    """Return the trace given by a line such as ``tone:30Hz,8um``, or by the path of a CSV file.
 
-    `seconds` is the duration of a line; a file has its own.
+    ``seconds`` is the duration if a line is given; a file states its duration.
     """
     if not 0 < seconds <= LONGEST_S:
-        message = f"{seconds:g} s are not possible: give seconds above 0, at most {LONGEST_S:g}"
+        message = f"a trace cannot last {seconds:g} s: give more than 0, at most {LONGEST_S:g} s"
         raise SmartTouchError(message)
     if text.partition(":")[0].strip().lower() not in _GRAMMAR:
         if not Path(text).exists():
@@ -112,7 +112,7 @@ def open_trace(text: str, seconds: float = 2.0) -> Trace:
 
 
 def _parse(text: str) -> tuple[str, list[float]]:
-    """Parse a part: return its kind, and a frequency with an amplitude, or a force."""
+    """Parse a part of a line into its kind and its values: frequency and amplitude, or force."""
     kind, _, rest = text.strip().lower().replace(" ", "").partition(":")
     matched = _GRAMMAR[kind].fullmatch(rest) if kind in _GRAMMAR else None
     if matched is None:
@@ -126,9 +126,9 @@ def _parse(text: str) -> tuple[str, list[float]]:
 
 
 SPAN_DB = 5.0
-"""Range from threshold to full drive (our choice). A tone of 30 Hz at full RA drive just reaches
-PC's threshold, so RA can be fully driven alone. At about this level, too, an afferent fires in each
-cycle."""
+"""Level of full drive above the threshold (our choice). A tone of 30 Hz at full RA drive just
+reaches PC's threshold, so full RA drive does not drive PC. From about this level on, an afferent
+fires in each cycle."""
 SAI_FORCE_N = 0.0013
 """Median threshold force of human SAI afferents (Johansson, Vallbo and Westling, Brain Res. 184,
 1980)."""
@@ -137,11 +137,10 @@ SAI_FULL_UM = 1500.0
 """Indentation at which the rate of SAI afferents saturates (J. Neurophysiol. 101:1033, 2009, Table
 1)."""
 SAI_RATE_HZ = 50.0
-"""Default rate at full drive, as in ``pulse.sai_rate_hz``; at threshold it is a fifth."""
-_PAD_S = 1.0
-"""Padding that joins the end of a trace to its beginning, because the Fourier transform is
-cyclic."""
-_GAP_S = 0.05  # longest silence between beats of one vibration
+"""Default SAI rate at full drive, as in ``pulse.sai_rate_hz``; at the threshold, SAI fires at a
+fifth of this rate."""
+_PAD_S = 1.0  # padding from the end of a trace to its start, as the Fourier transform is cyclic
+_GAP_S = 0.05  # longest time below the threshold within one vibration, as between beats
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +159,7 @@ def split_trace(
     sai_full_n: float = SAI_FULL_N,  # force of full SAI drive
     sai_rate_hz: float = SAI_RATE_HZ,  # SAI firing rate at full drive
 ) -> dict[Afferent, ReceptorResponse]:
-    """Return the response of each class."""
+    """Return the response of each afferent class to a trace."""
     if not sai_full_n > SAI_FORCE_N:
         raise ScheduleError(
             f"full force at {sai_full_n:g} N is not above the {SAI_FORCE_N:g} N at which SAI "
@@ -183,7 +182,7 @@ def turning(trace: Trace, afferent: Afferent) -> NDArray[np.complex128]:
 
 
 def cycles(wave: NDArray[np.complex128], driven: NDArray[np.bool_], trace: Trace) -> Array:
-    """Return the samples at which cycles of an analytic signal begin while driven."""
+    """Return the samples at which a cycle of an analytic signal begins while ``driven`` is set."""
     return _upward(wave, driven, round(_GAP_S * trace.sample_hz))
 
 
@@ -196,7 +195,7 @@ def _vibration(trace: Trace, afferent: Afferent) -> ReceptorResponse:
 
 
 def pressed(trace: Trace, full_n: float, rate_hz: float) -> ReceptorResponse:
-    """Return the response of SAI, with full drive at ``full_n`` and firing at ``rate_hz`` there."""
+    """Return the response of SAI. At the force ``full_n``, drive is 1 and the rate ``rate_hz``."""
     drives = []
     rows = (
         (trace.force_n, SAI_FORCE_N, full_n),
@@ -215,7 +214,7 @@ def pressed(trace: Trace, full_n: float, rate_hz: float) -> ReceptorResponse:
 
 
 def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
-    """Return a signal padded to a cycle, its offset in it, and the frequencies of the cycle."""
+    """Return a signal with cyclic padding, its first index in it, and the Fourier frequencies."""
     pad = round(_PAD_S * sample_hz)
     length = next_fast_len(len(row) + 2 * pad)
     joint = length - len(row)
@@ -225,15 +224,15 @@ def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
 
 
 def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int) -> Array:
-    """Return the samples of upward zero crossings of the real part while driven, one per cycle. The
-    phase continues through silences of up to ``gap`` samples."""
+    """Return the samples of upward zero crossings of the real part while driven, one per cycle.
+    Phase is unwrapped across undriven stretches of up to ``gap`` samples."""
     turns = (np.unwrap(np.angle(turning)) + math.pi / 2) / (2 * math.pi)
     full_turns = np.floor(turns).astype(np.int64)
     on = np.flatnonzero(driven)
     if not len(on):
         return np.empty(0)
     # Count only new maxima of the unwrapped phase, so that jitter around zero counts once. Offsets
-    # make each stretch start above the last one.
+    # make the phase of each driven stretch start above that of the previous stretch.
     starts = on[np.diff(on, prepend=-gap - 1) > gap]
     stretch = np.cumsum(np.bincount(starts, minlength=len(driven))) - 1
     height = full_turns - full_turns[starts][stretch] + stretch * (2 * len(driven))
@@ -244,7 +243,7 @@ def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int
 
 
 def _rate_hz(spike_s: Array, trace: Trace, drive: Array) -> Array:
-    """Return the rate between successive spikes at each driven sample, (N,) Hz."""
+    """Return the firing rate at each sample, (N,) Hz: 1 / spike interval, or 0 if not driven."""
     if len(spike_s) < 2:
         return np.zeros_like(drive)
     between = 1 / np.diff(spike_s)

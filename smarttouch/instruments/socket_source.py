@@ -1,4 +1,4 @@
-"""``socket:``: JSON requests of other programs of this user at a Unix socket."""
+"""``socket:``: patterns from other programs of the same user, as JSON on a Unix socket."""
 
 import asyncio
 import errno
@@ -21,7 +21,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.program import Pattern, Program, Shown
 from smarttouch.sources.source_contract import Frame
 
-LONGEST_S = 60.0  # longest duration of one show, as a client may hang
+LONGEST_S = 60.0  # longest duration of one show, because a client can hang
 MOST_BYTES = 4_000_000  # longest request
 _LOOK_S = 0.05
 _Gray = Annotated[int, Field(ge=0, le=255)]
@@ -38,13 +38,13 @@ class _Request(BaseModel, extra="forbid", strict=True):
 class SocketSource(Program):
     """Source of patterns from programs that connect to ``socket:PATH``.
 
-    Each request is a JSON object on one line, and so is its answer. Requests use the methods of a
-    session, so ramp, force and limits apply. A new pattern ends the current one, and so does a
-    client that disconnects.
+    Each request and each answer is a JSON object on one line. Requests call the methods of a
+    session, so ramp, force and limits apply. A pattern ends when a new pattern arrives or when its
+    client disconnects.
     """
 
     fixed_mode = True
-    ended = "a program stopped it through the socket"
+    ended = "a program stopped the run through the socket"
 
     def __init__(self, path: str, profile: Profile) -> None:
         super().__init__(profile, f"socket {path}")
@@ -61,7 +61,7 @@ class SocketSource(Program):
             self._path.unlink(missing_ok=True)
 
     def end(self) -> None:
-        """End the run, from any thread."""
+        """End the run. This can be called from any thread."""
         self._closing.set()
 
     def program(self) -> None:
@@ -92,9 +92,9 @@ class SocketSource(Program):
             while line := await reader.readline():
                 await self._answer(line, writer)
                 await writer.drain()
-                await asyncio.sleep(0)  # let a show begin before the next request may end it
+                await asyncio.sleep(0)  # let a show begin before the next request can end it
         except ValueError:
-            _reply(writer, error=f"a request has more than {MOST_BYTES} bytes")
+            _reply(writer, error=f"a request has more than {MOST_BYTES} bytes: send less")
         finally:
             if self._newest_client is writer:
                 await self._put_newest(self._nothing, 0)
@@ -102,7 +102,7 @@ class SocketSource(Program):
     async def _put_newest(self, pattern: Pattern, stale_s: float = 0.5) -> None:
         """Put a pattern, which ends the current show."""
         self._end_task()
-        # In simulated time this call waits.
+        # In simulated time `put` blocks, so a thread calls it.
         await asyncio.to_thread(self.put, pattern, stale_s)
 
     async def _answer(self, line: bytes, writer: asyncio.StreamWriter) -> None:
@@ -122,7 +122,7 @@ class SocketSource(Program):
                 await self._put_newest(pattern)
             elif asked.request == "level":
                 if asked.level is None:
-                    raise SourceError("level needs a level from 0 to 1")
+                    raise SourceError("the request level needs the key level, from 0 to 1")
                 self.controls.set_level(asked.level)
             elif asked.request == "stop":
                 self.end()
@@ -149,7 +149,7 @@ class SocketSource(Program):
         try:
             array = np.array(asked.pattern if asked.image is None else asked.image)
         except ValueError:
-            raise SourceError("the rows differ in length") from None
+            raise SourceError("the rows differ in length: give equally long rows") from None
         if asked.image is not None:
             return self.checked(Frame(array.astype(np.uint8), 0))
         if array.shape == self._nothing.shape and np.delete(array, self.afferents, axis=0).any():
@@ -159,13 +159,13 @@ class SocketSource(Program):
 
 
 async def _shown(show: Awaitable[Shown], writer: asyncio.StreamWriter) -> None:
-    """Wait for the end of a show, and answer it."""
+    """Wait for the end of a show, then answer its request."""
     try:
         _reply(writer, request="show", **asdict(await show))
     except SmartTouchError as error:
         _reply(writer, request="show", error=str(error))
     except asyncio.CancelledError:
-        _reply(writer, request="show", error="a newer pattern or the end of the run ended it")
+        _reply(writer, request="show", error="a newer pattern or the end of the run ended the show")
 
 
 def _parse(line: bytes) -> _Request:
@@ -183,7 +183,7 @@ def _reply(writer: asyncio.StreamWriter, **answer: Any) -> None:
 
 
 def _is_ours(line: socket.socket) -> bool:
-    """Return whether a client belongs to this user, if the system can tell."""
+    """Return whether a client runs as this user; True if the system cannot tell."""
     option = getattr(socket, "SO_PEERCRED", None)
     if option is None:
         return True

@@ -1,4 +1,4 @@
-"""Textures under the hand, and gratings."""
+"""Base classes of textures under the hand, and gratings."""
 
 import math
 from abc import ABC, abstractmethod
@@ -14,28 +14,28 @@ COARSEST_PITCH_MM = 200.0
 
 
 class RidgeCrossing(NamedTuple):
-    """Ridges that passed under the electrodes since the last call."""
+    """Ridges that passed under the electrodes in one move of the array."""
 
     height: NDArray[np.float32]
     """Height of the last ridge that passed each electrode, (E,) in [0, 1]; 0 without a ridge."""
-    merged: int  # number of ridges that passed an electrode together with another one
+    merged: int  # number of ridges that passed an electrode in the same move as another ridge
 
 
 class TextureSampler(Protocol):
-    """Detects the ridges of a texture that pass moving electrodes."""
+    """Detector of the ridges of a texture that pass under moving electrodes."""
 
     def place(self, x_mm: float, y_mm: float) -> None:
-        """Set the place of the array's middle; no ridge counts as passed."""
+        """Set the place of the array's center without counting ridges."""
 
     def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
-        """Move the array's middle in a straight line."""
+        """Move the array's center in a straight line, and return the ridges on the way."""
 
 
 class Texture(ABC):
     """Fixed surface with ridges.
 
-    `size_mm` is width and height, None if unbounded. `middle_mm` is the middle, or the middle of
-    one tile. `notes` are assumptions, one sentence each.
+    `size_mm` is width and height, None if unbounded. `middle_mm` is the middle, where a hand starts
+    by default. `notes` are assumptions, one sentence each.
     """
 
     def __init__(
@@ -75,13 +75,13 @@ class Grating(Texture):
         """Spatial frequency, (2,) cycles/mm right and down."""
 
     def feeler(self, position_mm: NDArray[np.float64]) -> "GratingFeeler":
-        """Return a sampler of electrodes over it."""
+        """Return a sampler for electrodes that move over this grating."""
         return GratingFeeler(self.per_mm, position_mm)
 
     def draw(
         self, left_mm: float, top_mm: float, shape: tuple[int, int], pixel_mm: float
     ) -> NDArray[np.uint8]:
-        """Return a part of it as ink on paper, (H, W) uint8."""
+        """Return a part of the grating as gray levels, (H, W) uint8; dark is high."""
         rows, columns = shape
         across = (left_mm + pixel_mm * (np.arange(columns) + 0.5)) * self.per_mm[0]
         down = (top_mm + pixel_mm * (np.arange(rows) + 0.5)) * self.per_mm[1]
@@ -90,7 +90,7 @@ class Grating(Texture):
 
 
 class GratingFeeler:
-    """Sampler of a grating: a ridge passes an electrode when its phase is an integer.
+    """Sampler of a grating: a ridge passes an electrode when its phase crosses an integer.
 
     The phase is the spatial frequency, (2,) cycles/mm, times the electrode's place on the texture.
     So the pulse rate is spatial frequency times speed (paper, Section IV-C).
@@ -102,11 +102,11 @@ class GratingFeeler:
         self._before = np.floor(self._own)
 
     def place(self, x_mm: float, y_mm: float) -> None:
-        """Place the middle of the array."""
+        """Set the place of the array's center without counting ridges."""
         self._before = np.floor(self._own + (x_mm * self._per_x + y_mm * self._per_y))
 
     def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
-        """Move the array; the order of ridges on the path does not matter."""
+        """Move the array, and count the ridges between its old and its new place."""
         before = self._before
         self.place(x_mm, y_mm)
         ridges = np.abs(self._before - before)

@@ -90,7 +90,7 @@ def test_a_client_shows_and_stops(opened, url):
     assert client.ask("stop") == {"ok": True, "request": "stop"}
     assert client.read() is None
     door.thread.join()
-    assert door.statistics.ended == "a program stopped it through the socket"
+    assert door.statistics.ended == "a program stopped the run through the socket"
     assert not door.path.exists()
     assert door.pulsed() == {tuple(np.flatnonzero(RING)), (27,)}
 
