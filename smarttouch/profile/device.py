@@ -15,19 +15,19 @@ class Output(Table):
     """Current outputs of the board."""
 
     kind: Literal["weighted", "three-state", "one-against-all"]
-    """Kind of board: each electrode has its own current ("weighted"), has one of three states, or
-    is driven alone against all others."""
+    """Kind of board: an electrode has its own current ("weighted"), is anode, cathode or insulated
+    ("three-state"), or is driven alone against all others ("one-against-all")."""
     polarities: tuple[Literal["anodic", "cathodic"], ...] = Field(
         default=("anodic", "cathodic"), min_length=1
     )
     """Polarities that the board can drive; positive currents are cathodic."""
     impedance_kohm: Positive | tuple[Positive, ...] = 1.0
-    """Impedance of electrode and skin, one for all or one for each. The current of a single source
-    divides accordingly."""
+    """Impedance of electrode and skin, one value for all electrodes or one for each. It determines
+    how the current of a single source divides between electrodes."""
     masked: tuple[int, ...] = ()
     """Electrodes that are never driven, because they are broken, open or shorted."""
     wiring: tuple[int, ...] | None = None
-    """Output of the board for each electrode; by default the number of the electrode."""
+    """Number of the board's output for each electrode; by default the electrode's own number."""
     ua_per_count: Positive | None = None
     """Measured current of one count of the board's DAC; by default the nominal current."""
 
@@ -41,12 +41,12 @@ class Output(Table):
             if len(set(values)) < len(values):
                 twice = next(value for value in values if values.count(value) > 1)
                 yield UnfitError(
-                    f"output.{key} lists {twice} more than once: list each once",
+                    f"output.{key} lists {twice} more than once: list each number once",
                     key=f"output.{key}",
                 )
             if min(values, default=0) < 0:
                 yield UnfitError(
-                    f"output.{key} lists {min(values)}: numbers begin at 0", key=f"output.{key}"
+                    f"output.{key} lists {min(values)}: give numbers from 0", key=f"output.{key}"
                 )
 
 
@@ -58,30 +58,30 @@ class Optics(Table):
     sensor_rows: int = Field(ge=2, le=4096)
     """Height of a frame in pixels."""
     field_width_mm: Positive
-    """Width of the area of the page in a frame."""
+    """Width of the area of the page that a frame shows."""
     field_height_mm: Positive
-    """Height of the area of the page in a frame."""
+    """Height of the area of the page that a frame shows."""
     magnification: Positive
     """Millimeters on the array per millimeter on the page."""
     rotation_deg: float = Field(default=0.0, ge=-180, le=180)
-    """Angle of the array in a frame, clockwise."""
+    """Clockwise angle by which the array appears rotated in a frame."""
     offset_x_mm: Number = 0.0
-    """Distance of the array's middle to the right of the frame's middle, on the page."""
+    """Distance on the page from the frame's center to the array's center, to the right."""
     offset_y_mm: Number = 0.0
-    """Distance of the array's middle below the frame's middle, on the page."""
+    """Distance on the page from the frame's center to the array's center, downward."""
     homography: tuple[Number, ...] | None = Field(default=None, min_length=9, max_length=9)
-    """Homography of a tilted camera, by rows, from millimeters on the page, measured from the
-    middle of the array, to pixels of a frame of ``sensor_columns`` by ``sensor_rows`` (pixel
-    centers are integers). It replaces field, rotation and offset."""
+    """Homography of a tilted camera, row by row, which replaces field, rotation and offset. It maps
+    millimeters on the page, from the center of the array, to pixels of a frame of
+    ``sensor_columns`` by ``sensor_rows``. The center of a pixel has integer coordinates."""
     flat_field: str | None = None
-    """File with the dark level and the gain of each pixel, in the folder of the profile."""
+    """Name of a file in the profile's folder with the dark level and the gain of each pixel."""
 
 
 class ForceLaw(Table):
     """Intensity as a function of finger force (paper, Section IV-B)."""
 
     law: Literal["linear", "logarithmic"]
-    """Shape of the function between ``contact_n`` and ``full_n``."""
+    """How intensity rises between ``contact_n`` and ``full_n``."""
     contact_n: Positive
     """Force above which current flows."""
     full_n: Positive
@@ -90,8 +90,8 @@ class ForceLaw(Table):
     """Coefficients of a polynomial, lowest first, that converts readings of a load cell to
     newtons."""
     source: str | None = Field(default=None, pattern=r"^[a-z0-9_]+:.")
-    """Default source of force on real boards, for example ``hx711:/dev/ttyUSB1``, or ``fixed:0.9``
-    (N) if force is not measured."""
+    """Default source of force for real boards, for example ``hx711:/dev/ttyUSB1``, or ``fixed:0.9``
+    if force is not measured but assumed to be 0.9 N."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -112,14 +112,14 @@ class Pulse(Table):
     rate_hz: float = Field(ge=1, le=ceilings.CEILING_RATE_HZ)
     """Sequences per second."""
     chronaxie_us: Positive = 200.0
-    """Chronaxie of the afferents: the shorter the pulse, the more current it needs."""
+    """Chronaxie of the afferents, which determines how much more current shorter pulses need."""
     ra_rate_hz: float = Field(default=30.0, ge=1, le=200)
     """RA pulses per second in natural mode; RA is most sensitive at 30 Hz (paper, Fig. 2)."""
     sai_rate_hz: float = Field(default=50.0, ge=1, le=200)
     """SAI pulses per second in natural mode, at full force."""
     softness: float = Field(default=1.0, ge=0, le=1)
-    """Softness: at 0 (hard) the SAI rate follows force, at 1 (soft) it is constant (paper, Section
-    III-B.2)."""
+    """Softness of the felt surface: at 0 (hard) the SAI rate follows force, at 1 (soft) it is
+    constant (paper, Section III-B.2)."""
 
 
 class Limits(Table):
@@ -130,7 +130,7 @@ class Limits(Table):
     total_ma: float | None = Field(default=None, gt=0, le=ceilings.CEILING_TOTAL_MA)
     """Largest total current of all cathodes in one slot; by default the project's ceiling.
 
-    With a single source, the largest current of one electrode is a limit, too.
+    On a board with a single source, the total never exceeds the largest current of one electrode.
     """
     electrode_ma: tuple[Positive, ...] | None = None
     """Largest current of each electrode, if some must stay below ``current_ma``."""
@@ -141,39 +141,39 @@ class Limits(Table):
     rate_hz: float = Field(gt=0, le=ceilings.CEILING_RATE_HZ)
     """Largest number of sequences per second."""
     duty: float = Field(gt=0, le=ceilings.CEILING_DUTY)
-    """Largest share of the time with current."""
+    """Largest share of time in which current flows."""
     ramp_s: float = Field(ge=ceilings.SHORTEST_RAMP_S, le=10)
-    """Shortest time from zero to full intensity."""
+    """Shortest time in which intensity rises from zero to full."""
     density_uc_cm2: float = Field(default=CEILING_DENSITY_UC_CM2, gt=0, le=CEILING_DENSITY_UC_CM2)
     """Largest charge of a pulse per area of the electrode."""
     session_s: float = Field(
         default=ceilings.CEILING_SESSION_S, gt=0, le=ceilings.CEILING_SESSION_S
     )
-    """Longest total time of scans with current in a session, from opening to closing the board."""
+    """Longest total time of scans with current in a session (from opening to closing the board)."""
     session_mc: float = Field(default=CEILING_SESSION_MC, gt=0, le=CEILING_SESSION_MC)
     """Largest charge through one electrode in a session."""
 
 
 class Frames(Table):
-    """Bounds for slots with several points."""
+    """Bounds of slots that stimulate several points."""
 
     other: float = Field(default=0.3, gt=0, le=1)
-    """Largest off-target activation, relative to the weakest target. 0.30 is the value of a single
-    SAI point on the paper's line array with the paper's optimization."""
+    """Largest activation of other classes, relative to the weakest target. A single SAI point on
+    the paper's line array reaches 0.30 with the paper's optimization."""
     spill: float = Field(default=0.3, gt=0, le=1)
-    """Largest spill: activation of the same class more than a pitch from every target, relative to
-    the weakest target."""
+    """Largest spill: activation of the targets' class more than a pitch away from every target,
+    relative to the weakest target."""
     uneven: float = Field(default=0.05, gt=0, le=0.5)
     """Largest relative deviation of a target from its requested activation."""
     share: bool | None = None
-    """Whether points may share a slot; by default only if ``limits.total_ma`` is given."""
+    """Whether a slot can have several points; by default only if ``limits.total_ma`` is given."""
 
 
 class PerceptThresholds(Table):
     """Detection threshold and comfort level of each electrode, and perceived places."""
 
     threshold_ma: Positive | tuple[Positive, ...]
-    """Detection threshold, one for all electrodes or one for each."""
+    """Detection threshold, one value for all electrodes or one for each."""
     comfort_ratio: float = Field(gt=1, le=10)
     """Comfort level as a multiple of the threshold."""
     comfort_ma: tuple[Positive, ...] | None = None
@@ -189,9 +189,9 @@ class PerceptThresholds(Table):
 
 
 class CommandDefaults(Table):
-    """Defaults of command-line options with this profile.
+    """Defaults of command-line options for this profile.
 
-    The source of force is `force.source`. Intensity has no default.
+    The default source of force is `force.source`. Intensity has no default.
     """
 
     board: str | None = Field(default=None, pattern=r"^[a-z0-9_]+:")
@@ -199,7 +199,7 @@ class CommandDefaults(Table):
     plain: bool = False
     """Whether runs print a line for each event instead of drawing."""
     read_as: Literal["shapes", "braille"] = "shapes"
-    """Form of text: letter shapes or Braille."""
+    """Form in which text is read: letter shapes or Braille."""
 
 
 class Calibrated(Table):
@@ -228,20 +228,19 @@ class Skin(Table):
     pc_depth_mm: Positive
     """Depth of the axons of PC."""
     sai_angles_deg: tuple[float, ...] = Field(min_length=1)
-    """Directions of horizontal axons; the first is the target of SAI mode."""
+    """Directions of horizontal axons. SAI mode targets axons of the first direction."""
     node_spacing_mm: Positive
-    """Spacing of the nodes at which off-target and spill are bounded: 0.1 in shipped profiles, at
-    most 0.25 in files with up to 200 electrodes. Slots with several points use 0.5 or more."""
+    """Spacing of the nodes at which the design bounds off-target and spill: 0.1 in shipped
+    profiles, at most 0.25 for up to 200 electrodes. Slots with several points use at least 0.5."""
     ra_ending: Literal["passive", "active"] = "passive"
     """Whether the ending of a rising axon can fire; determines the polarity of RA mode."""
     internode_mm: Positive = 0.079
-    """Distance between nodes of Ranvier near the ending of an axon; 79 µm by Nolano et al.
-    (2003)."""
+    """Distance between nodes of Ranvier near the ending of an axon (Nolano et al., 2003)."""
 
 
 class Kernels(Table):
     """Design of kernels."""
 
     neighbors: int | None = Field(default=None, ge=9, le=1024)
-    """Largest number of electrodes that a kernel drives, those nearest to its site; by default all.
-    With 64, arrays of thousands of electrodes are designed in minutes."""
+    """Number of electrodes, nearest to the site, that a kernel can drive; by default all. With 64,
+    designing kernels for thousands of electrodes takes minutes."""

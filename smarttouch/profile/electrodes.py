@@ -26,8 +26,8 @@ class ElectrodeArray:
     """Electrodes on the skin.
 
     x points right along a line of text, y **downward** as in an image; the origin is the center of
-    the array. Raises ProfileError for fewer than two electrodes, or for overlaps, except of an
-    electrode within a ring.
+    the array. Raises ProfileError for fewer than two electrodes and for electrodes that overlap. An
+    electrode within the hole of a ring does not overlap the ring.
     """
 
     __repr__ = one_line
@@ -39,29 +39,29 @@ class ElectrodeArray:
     shape: Shape = "disc"
     # Annulus: outer and inner diameter; disc: diameter and 0; rectangle: width and height.
     size_mm: tuple[float, float] = (1.0, 0.0)
-    # Shape and size of each electrode if they differ; `shape` and `size_mm` describe the first.
+    # Shape and size of each electrode, if not equal; `shape` and `size_mm` are those of the first.
     own: tuple[tuple[Shape, tuple[float, float]], ...] | None = None
 
     def __post_init__(self) -> None:
         if len(self) < 2:
             raise ProfileError(
                 f"the array has {len(self) or 'no'} electrode{'' if len(self) else 's'}: give at "
-                "least two, as current needs a way back",
+                "least two, because current needs a return path",
                 key="electrodes",
             )
-        # Uniform arrays may overlap, as in the computation of fields of single electrodes.
+        # `_field_of_kinds` places equal electrodes on top of each other, so tolerate their overlap.
         self.refuse_overlaps(COINCIDENT_MM if self.own is None else None)
 
     def refuse_overlaps(self, least_mm: float | None = None) -> None:
-        """Raise ProfileError if two electrodes overlap or, if given, are closer than a distance."""
+        """Raise ProfileError if electrodes overlap or, with ``least_mm``, if centers are closer."""
         apart = self.distance_mm + np.diag(np.full(len(self), np.inf))
         touching = self._overlap(apart) if least_mm is None else apart < least_mm
         if touching.any():
             first, second = divmod(int(touching.argmax()), len(self))
             away = apart[first, second]
-            how = "coincide" if away < COINCIDENT_MM else f"overlap {away:.3g} mm from each other"
+            how = "coincide" if away < COINCIDENT_MM else f"overlap at a distance of {away:.3g} mm"
             raise ProfileError(
-                f"electrodes {first} and {second} {how}, middle to middle: move one of them, or "
+                f"electrodes {first} and {second} {how} (center to center): move one of them, or "
                 "make them smaller",
                 key="electrodes",
                 electrode=first,
@@ -96,8 +96,8 @@ class ElectrodeArray:
         return areas
 
     def _overlap(self, apart_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which pairs of electrodes overlap, (E, E); rectangles overlap only if they
-        coincide."""
+        """Return which pairs of electrodes overlap, (E, E). Two rectangles count as overlapping
+        only if their centers coincide."""
         outer, hole = np.zeros(len(self)), np.zeros(len(self))
         for (shape, (first, second)), which in self.kinds.items():
             outer[which] = first / 2 if shape in ("disc", "annulus") else 0
@@ -117,7 +117,7 @@ class GridLayout(Table):
     """Rectangular grid of discs, or of rings if an inner diameter is given."""
 
     layout: Literal["grid"]
-    """Electrodes in rows and columns, counted row by row from the upper left."""
+    """Electrodes in rows and columns, numbered row by row from the top left."""
     rows: int = Field(ge=1, le=64)
     """Number of rows."""
     columns: int = Field(ge=1, le=64)
@@ -160,18 +160,18 @@ class GridLayout(Table):
 
 
 class HexagonLayout(Table):
-    """The hexagon of 61 discs."""
+    """Hexagon of 61 discs."""
 
     layout: Literal["hexagon-61"]
-    """Electrodes in nine rows of 5 to 9, in the numbering of the board."""
+    """Nine rows of 5 to 9 electrodes, numbered as on the board: from the top, each row from right
+    to left."""
     pitch_mm: Positive
     """Distance between neighbors."""
     diameter_mm: Positive
     """Diameter of each electrode."""
 
     def build(self) -> ElectrodeArray:
-        """Return the electrodes in the numbering of the board: rows from the top, each from right
-        to left."""
+        """Return the electrodes, numbered as on the board."""
         height_mm = self.pitch_mm * np.sqrt(3) / 2
         points = [
             (x, -4 * height_mm + height_mm * row)
@@ -218,17 +218,17 @@ class FreeLayout(Table):
     layout: Literal["free"]
     """Electrodes at the listed positions."""
     positions_mm: tuple[tuple[Number, Number], ...] = Field(max_length=4096)
-    """Position of each electrode, right and down, from any origin."""
+    """Position of each electrode, right and down; the origin is arbitrary."""
     shape: Literal["point", "disc", "annulus", "rectangle"] = "disc"
     """Shape of all electrodes."""
     size_mm: tuple[float, float] = (1.0, 0.0)
-    """Diameter of a disc, and 0; outer and inner diameter of an annulus; width and height of a
-    rectangle."""
+    """Size of all electrodes: diameter and 0 of a disc, outer and inner diameter of an annulus, or
+    width and height of a rectangle."""
     shapes: tuple[Literal["point", "disc", "annulus", "rectangle"], ...] | None = None
-    """Shape of each electrode if they differ, with ``sizes_mm``. A ring may surround another
-    electrode (paper, Section III-C)."""
+    """Shape of each electrode, if they differ; requires ``sizes_mm``. An annulus can surround
+    another electrode (paper, Section III-C)."""
     sizes_mm: tuple[tuple[float, float], ...] | None = None
-    """Size of each electrode if they differ, as in ``size_mm``, with ``shapes``."""
+    """Size of each electrode, as in ``size_mm``; requires ``shapes``."""
 
     @model_validator(mode="after")
     def _sized(self) -> Self:
@@ -244,15 +244,15 @@ class FreeLayout(Table):
         for key, values in lists.items():
             if len(values or ()) != count:
                 yield UnfitError(
-                    f"array.{key} lists {len(values or ())} of {count} electrodes: give one for "
-                    "each, of both shapes and sizes_mm, or neither",
+                    f"array.{key} lists {len(values or ())} of {count} electrodes: give shapes and "
+                    "sizes_mm of all electrodes, or leave both out",
                     key=f"array.{key}",
                 )
         for shape, size in zip(self.shapes or (), self.sizes_mm or (), strict=False):
             yield from _unsized(shape, size, "sizes_mm")
 
     def build(self) -> ElectrodeArray:
-        """Return the electrodes as listed, with the origin in their middle."""
+        """Return the electrodes in the listed order, with the origin in the center of the array."""
         position = np.array(self.positions_mm, np.float64).reshape(-1, 2)
         if len(position):
             position -= (position.max(axis=0) + position.min(axis=0)) / 2
@@ -260,7 +260,7 @@ class FreeLayout(Table):
         own_shapes, shape, size_mm = None, self.shape, self.size_mm
         if self.shapes is not None and self.sizes_mm is not None:
             own_shapes = tuple(zip(self.shapes, self.sizes_mm, strict=True))
-            # The distance of a ring is the radius of its center line.
+            # Concentric rings are as far apart as their center lines.
             line = [
                 sum(size) / 4 if shape_name == "annulus" else 0.0 for shape_name, size in own_shapes
             ]
@@ -289,8 +289,8 @@ def _unsized(shape: Shape, size_mm: tuple[float, float], key: str) -> Iterator[U
     }
     if not fits[shape]:
         yield UnfitError(
-            f"{key} {list(size_mm)} does not go with shape {shape!r}: give [diameter, 0] of a "
-            "disc, [outer, inner] of an annulus, [width, height] of a rectangle",
+            f"{key} {list(size_mm)} is not the size of shape {shape!r}: give [diameter, 0] for a "
+            "disc, [outer, inner] for an annulus, [width, height] for a rectangle",
             key=f"array.{key}",
         )
 
@@ -304,7 +304,7 @@ USUAL_DIAMETER_MM = 1.0
 
 
 def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
-    """Return a layout of discs from coordinates, (E, 2), and optionally diameters, (E, 3), mm.
+    """Return a layout of discs from coordinates, (E, 2), or coordinates and diameters, (E, 3), mm.
 
     A CSV file has columns ``x_mm``, ``y_mm`` and optionally ``diameter_mm``.
     """

@@ -1,4 +1,4 @@
-"""Current scales of published kits, nominal and measured."""
+"""Current per DAC count (scale) of the published boards, nominal and measured."""
 
 import math
 
@@ -6,14 +6,14 @@ from smarttouch.base.errors import BoardError
 
 BAND = 0.3  # accepted relative deviation from the nominal scale
 NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
-"""Current per count of each board's converter; 4096 counts of the kajimoto61 are 10 mA."""
+"""Nominal current per DAC count of each board; on the kajimoto61, 4096 counts are 10 mA."""
 
 
 def require_in_band(ratio: float, what: str) -> None:
-    """Raise BoardError if a scale is too far from the nominal one, by their ratio."""
+    """Raise BoardError if the ratio of a scale to the nominal scale is not within 1 ± `BAND`."""
     if not abs(ratio - 1) <= BAND + 1e-9:
         raise BoardError(
-            f"{what} would be {ratio:.3g} times the nominal current, and boards differ by "
+            f"{what} would be {ratio:.3g} times the nominal current, but boards differ from it by "
             f"{100 * BAND:.0f} % at most: check units, connections, the resistor, and which board "
             "this is, then measure again (smarttouch calibrate scale)"
         )
@@ -22,9 +22,9 @@ def require_in_band(ratio: float, what: str) -> None:
 def measured_scale(
     kind: str, before_ua: float | None, volts: float, ohm: float, current_ma: float
 ) -> tuple[float, float | None]:
-    """Return the ratio of measured to nominal current, from the voltage across a resistor, and the
-    resulting scale, µA per count; None if the board has no scale. Raises BoardError if the ratio
-    deviates too much."""
+    """Return the ratio of measured to expected current, and the scale corrected by this ratio, µA
+    per count. The measured current is the voltage across a resistor / its resistance. Without a
+    scale ``before_ua``, the corrected scale is None. Raises BoardError, see `require_in_band`."""
     for what, value in (("volts", volts), ("ohm", ohm), ("current_ma", current_ma)):
         if not 0 < value < math.inf:
             raise BoardError(f"{what} {value:g} must be above 0 and finite")

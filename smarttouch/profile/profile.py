@@ -20,7 +20,7 @@ from smarttouch.profile.toml_tables import Table, UnfitError, raise_all, table_e
 
 
 def misfits(profile: "Profile") -> Iterator[UnfitError]:
-    """Yield all inconsistencies; currents are checked only if the array is consistent."""
+    """Yield all inconsistencies. Currents are checked only if the array is consistent."""
     of_array = [*_misfits_of_array(profile)]
     yield from of_array or _misfits_of_current(profile)
 
@@ -36,8 +36,8 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
         )
     if count - len(masked) < 2:
         yield UnfitError(
-            f"output.masked leaves {count - len(masked)} of {count} electrodes: current needs "
-            "at least two, shorten the list or repair the array",
+            f"output.masked leaves {count - len(masked)} of {count} electrodes, but current needs "
+            "at least two: shorten the list or repair the array",
             key="output.masked",
         )
     for key, values in (
@@ -50,22 +50,22 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
         if isinstance(values, tuple) and len(values) != count:
             one = key.endswith(("threshold_ma", "impedance_kohm"))
             yield UnfitError(
-                f"{key} lists {len(values)} electrodes, the array has {count}: give {count} "
-                f"numbers, or {'one for all' if one else 'leave it out'}",
+                f"{key} lists {len(values)} electrodes, but the array has {count}: give {count} "
+                f"numbers, or {'one number for all' if one else 'leave it out'}",
                 key=key,
             )
     if profile.skin.medium == "plane" and profile.array.layout != "lines":
         yield UnfitError(
-            f"skin.medium 'plane' does not go with array.layout {profile.array.layout!r}: "
-            "it is for 'lines'; 'half-space' is for all",
+            f"skin.medium 'plane' requires array.layout 'lines', not {profile.array.layout!r}: "
+            "choose 'half-space'",
             key="skin.medium",
         )
     if profile.kernels.neighbors is not None and (
         profile.output.kind != "weighted" or profile.array.layout == "lines"
     ):
         yield UnfitError(
-            "kernels.neighbors is for boards where each electrode has a source of its own and none "
-            "is a line: leave it out",
+            "kernels.neighbors requires output.kind 'weighted' and an array.layout other than "
+            "'lines': leave it out",
             key="kernels.neighbors",
         )
 
@@ -77,18 +77,18 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
     if painful.any():
         index = int(painful.argmax())
         yield UnfitError(
-            f"comfort_ma is {full_ma[index]:.2f} mA at electrode {index}, not above its "
+            f"comfort_ma of electrode {index} is {full_ma[index]:.2f} mA, not above its "
             f"threshold_ma of {profile.threshold_ma[index]:.2f}: measure both again",
             key="perception.comfort_ma",
             electrode=index,
         )
-    # Thresholds have single precision: a limit equal to their product must pass.
+    # Comfort levels have single precision: a limit equal to the exact product must pass.
     over = full_ma > np.multiply(np.inf if lowered is None else lowered, 1 + 1e-6)
     if lowered is not None and over.any():
         index = int(over.argmax())
         yield UnfitError(
-            f"{strongest_of} is {full_ma[index]:.2f} mA at electrode {index}, above its "
-            f"limits.electrode_ma {lowered[index]:g}: lower one of the two",
+            f"{strongest_of} of electrode {index} is {full_ma[index]:.2f} mA, above its "
+            f"limits.electrode_ma {lowered[index]:g}: lower {strongest_of}",
             key="limits.electrode_ma",
             electrode=index,
         )
@@ -102,18 +102,18 @@ def _misfits_of_strongest(
     if strongest > limits.current_ma:
         yield UnfitError(
             f"{strongest_of} reaches {strongest:.2f} mA, above limits.current_ma "
-            f"{limits.current_ma}: lower one of the two",
+            f"{limits.current_ma}: lower {strongest_of}",
             key="limits.current_ma",
         )
     if limits.total_ma is not None and limits.total_ma < strongest:
         yield UnfitError(
             f"limits.total_ma {limits.total_ma:g} is below the {strongest:.2f} mA that "
-            f"{strongest_of} sends through one electrode: raise it, or lower one of the two",
+            f"{strongest_of} sends through one electrode: raise it, or lower {strongest_of}",
             key="limits.total_ma",
         )
     if width_us > limits.pulse_us:
         yield UnfitError(
-            f"pulse.width_us {width_us} is above limits.pulse_us {limits.pulse_us:g}: lower it",
+            f"lower pulse.width_us {width_us}: it is above limits.pulse_us {limits.pulse_us:g}",
             key="pulse.width_us",
         )
     charge = strongest * width_us / 1000
@@ -125,7 +125,7 @@ def _misfits_of_strongest(
         )
 
 
-_STILL = ("optics", "registration", "force")
+_UNAFFECTED = ("optics", "registration", "force")
 """Calibrations that stay valid for another array."""
 
 
@@ -133,9 +133,9 @@ class Profile(Table):
     """One device on one finger."""
 
     name: str = ""
-    """Name of the file."""
+    """Name of the file without its ending."""
     title: str = Field(min_length=1)
-    """Description of the device, for people."""
+    """Description of the device that is shown to users."""
     array: ArrayLayout
     skin: tables.Skin
     output: tables.Output
@@ -175,7 +175,7 @@ class Profile(Table):
 
     @property
     def shares(self) -> bool:
-        """True if the profile allows points to share a slot."""
+        """Whether the profile allows several points in one slot."""
         has_total = self.limits.total_ma is not None
         return has_total if self.frames.share is None else self.frames.share
 
@@ -183,8 +183,8 @@ class Profile(Table):
     def total_ma(self) -> float:
         """Largest total current of all cathodes in a slot, mA.
 
-        On a board with a single source it is limited to the current of one electrode: if the other
-        electrodes lose contact, one carries all current.
+        On a board with a single source, the total is limited to the current of one electrode,
+        because one electrode carries all current if the others lose contact.
         """
         limits = self.limits
         total = limits.total_ma or CEILING_TOTAL_MA
@@ -194,17 +194,17 @@ class Profile(Table):
 
     @property
     def design_total_ma(self) -> float | None:
-        """Limit of total current in the design of kernels, mA, or None.
+        """Limit of a kernel's total current in the design, mA; None for a design without limit.
 
-        None means that points do not share slots, and that the limit is the project's ceiling,
-        which single kernels always keep.
+        None if slots have a single point and the limit is the project's ceiling: `PointSlots` then
+        refuses a kernel above the ceiling.
         """
         total = self.limits.total_ma or CEILING_TOTAL_MA
         return total if self.shares or total < CEILING_TOTAL_MA else None
 
     @cached_property
     def admittance(self) -> NDArray[np.float64]:
-        """Relative share of each electrode in the current of a single source, (E,)."""
+        """Admittance of each electrode, (E,) mS; the current of a single source divides by it."""
         impedance = np.asarray(self.output.impedance_kohm, np.float64)
         return np.broadcast_to(1 / impedance, (len(self.electrodes),)).copy()
 
@@ -219,14 +219,14 @@ class Profile(Table):
         Parameters
         ----------
         update : mapping, optional
-            Tables that replace those of the same name.
+            Tables by name, which replace those of this profile.
         deep : bool
             Whether to copy values, too.
 
         Raises
         ------
         ProfileError
-            If the copy has unknown keys or impossible values; lists all of them.
+            If the copy has unknown keys or impossible values. The message lists all of them.
 
         Examples
         --------
@@ -250,11 +250,11 @@ class Profile(Table):
         Parameters
         ----------
         table : path or array-like, (E, 2) or (E, 3), mm, or GridLayout
-            Positions, right and down, in the numbering of the board, and optionally diameters
-            (default: 1 mm). A CSV file has the columns ``x_mm``, ``y_mm``, ``diameter_mm``. A grid
-            shows the same area of the page, magnified to its size.
+            Positions, right and down, in the order of the board's outputs, and optionally diameters
+            (default: 1 mm). A CSV file has the columns ``x_mm``, ``y_mm``, ``diameter_mm``. With a
+            grid, the same area of the page is magnified to the size of the grid.
         title : str
-            Description of the device, for people.
+            Description of the device that is shown to users.
 
         Raises
         ------
@@ -263,8 +263,8 @@ class Profile(Table):
 
         Notes
         -----
-        Values for each electrode, such as limits, become the smallest of them. Masks, wiring,
-        calibrations of the electrodes and defaults of commands are removed.
+        A list of values for each electrode becomes its smallest value, for impedances the largest.
+        Masks, wiring, calibrations of the electrodes and defaults of commands are removed.
 
         Examples
         --------
@@ -288,7 +288,7 @@ class Profile(Table):
         for table_of, key in ((felt, "comfort_ma"), (limits, "electrode_ma")):
             if table_of[key] is not None:
                 table_of[key] = (min(table_of[key]),) * count
-        calibrated = {part: self.calibrated[part] for part in self.calibrated.keys() & _STILL}
+        calibrated = {part: self.calibrated[part] for part in self.calibrated.keys() & _UNAFFECTED}
         return self.model_copy(
             update={
                 "array": layout,
@@ -298,7 +298,7 @@ class Profile(Table):
                 "optics": optics,
                 "calibrated": calibrated,
                 "defaults": tables.CommandDefaults(),
-                "title": title or f"{count} electrodes, else as {self.title}",
+                "title": title or f"{count} electrodes, otherwise as {self.title}",
                 "name": "",
             }
         )
@@ -316,7 +316,7 @@ def require_driven(
     profile: Profile, sites: str | Collection[int], error: type[SmartTouchError], about: str
 ) -> NDArray[np.intp]:
     """Return the electrodes in a list such as ``0-7,12`` or a collection, each once, ascending.
-    Raises ``error`` unless all exist and are not masked."""
+    Raises ``error`` if an electrode does not exist or is masked."""
     if isinstance(sites, str):
         matches = [_RANGE.fullmatch(part.strip()) for part in sites.split(",")]
         if None in matches:
@@ -325,16 +325,17 @@ def require_driven(
     else:
         ranges = [(site, site) for site in sites]
     if not ranges:
-        raise error(f"no {about} is named: choose at least one")
+        raise error(f"no {about} is given: give at least one")
     count, masked = len(profile.electrodes), sorted(profile.output.masked)
     for low, high in ranges:
         there = 0 <= low <= high < count
         bad = [site for site in masked if low <= site <= high] if there else [low]
         if bad:
             named = f"{low}-{high}" if high != low and not there else f"{bad[0]}"
-            without = f" without {', '.join(map(str, masked))}" if masked else ""
+            without = f" except {', '.join(map(str, masked))} (masked)" if masked else ""
             raise error(
-                f"{about} {named} cannot be driven: {profile.name} has 0 to {count - 1}{without}",
+                f"{about} {named} cannot be driven: choose from 0 to {count - 1}{without}, the "
+                f"electrodes of {profile.name}",
                 electrode=int(bad[0]),
             )
     return np.unique(np.concatenate([np.arange(low, high + 1) for low, high in ranges]))
@@ -348,8 +349,8 @@ _UPPER = (
 
 def stricter(own: Profile, other: Profile) -> Profile:
     """Return a copy of ``own`` with limits, comfort levels and masks at least as strict as those of
-    ``other``. Device, array, kernels and force law stay. If the numbers of electrodes differ, the
-    smallest current of ``other`` applies to all."""
+    ``other``. Device, array, kernels and force law do not change. If the profiles differ in the
+    number of electrodes, the smallest current of ``other`` applies to all electrodes."""
     count = len(own.electrodes)
     same = len(other.electrodes) == count
 
@@ -376,7 +377,7 @@ def stricter(own: Profile, other: Profile) -> Profile:
         limits["electrode_ma"] = tuple(each_ma.tolist())
     own_ma = own.full_ma.astype(np.float64)
     full_ma = np.minimum(np.minimum(matched(other.full_ma), each_ma), most_ma)
-    # Currents have single precision: round lowered ones down to whole µA.
+    # Currents have single precision, so round lowered currents down to whole µA.
     lower = full_ma < own_ma * (1 - 1e-6)
     full_ma = np.where(lower, np.floor(1000 * full_ma - 1e-3) / 1000, own_ma)
     threshold_ma = np.minimum(own.threshold_ma, matched(other.threshold_ma))
@@ -384,7 +385,7 @@ def stricter(own: Profile, other: Profile) -> Profile:
     if lower.any():
         perception["comfort_ma"] = tuple(full_ma.tolist())
     if (threshold_ma < own.threshold_ma).any():
-        # State comfort levels, so that lower thresholds do not lower them.
+        # By default comfort levels follow the thresholds, so state them explicitly.
         perception |= {
             "threshold_ma": tuple(threshold_ma.tolist()),
             "comfort_ma": tuple(full_ma.tolist()),
@@ -394,6 +395,6 @@ def stricter(own: Profile, other: Profile) -> Profile:
     tables = {"limits": limits, "pulse": pulse, "perception": perception, "output": output}
     if all(table == getattr(own, name).model_dump() for name, table in tables.items()):
         return own
-    # A new total must not enable shared slots.
+    # By default `limits.total_ma` allows several points in a slot, so state `share` explicitly.
     frames = own.frames.model_dump() | {"share": own.shares}
     return own.model_copy(update={**tables, "frames": frames})

@@ -1,4 +1,4 @@
-"""Log of the levels at which a person settled, for each profile and mode."""
+"""Log of the intensity levels that a person found comfortable, for each profile and mode."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -13,11 +13,11 @@ from smarttouch.base.files import make_folder, owner_only, read_text, unwritable
 from smarttouch.profile.profile import Profile
 from smarttouch.profile.toml_tables import Table
 
-SETTLED_NS = 10_000_000_000  # time of touch after which an unchanged level counts as comfortable
+SETTLED_NS = 10_000_000_000  # a level that is not changed during this time of touch is comfortable
 
 
 class SettledLevel(Table):
-    """Comfortable level, its strongest current, and force and impedance at that moment."""
+    """Entry of the log: comfortable level, its strongest current, and force and impedance then."""
 
     time: datetime
     mode: str
@@ -43,9 +43,9 @@ def read_levels(profile: Profile) -> list[SettledLevel]:
 
 
 class SettledLevels:
-    """Levels to offer in a run, at most ``most``, and those at which the person settles in it.
+    """Comfortable levels: from earlier runs to offer, up to ``most``, and from this run to log.
 
-    A level counts for the strongest current that it stands for, should the profile have changed.
+    An offered level has the same strongest current as in the earlier run, in a changed profile too.
     """
 
     def __init__(self, profile: Profile, most: float) -> None:
@@ -62,8 +62,8 @@ class SettledLevels:
     def note(
         self, time_ns: int, mode: str, level: float, force_n: float, observed: Sequence[Any] = ()
     ) -> str:
-        """Note a step, with measured sequences and their voltages, (S,) V; return the offer when a
-        mode begins, else an empty text."""
+        """Process a step, with measured sequences and their voltages, (S,) V. Return a sentence
+        that offers a level if a mode begins, otherwise an empty text."""
         begins = mode != self._asked[0] and mode in self.offered
         for sequence, volts in observed:
             peak_ua = np.abs(sequence.current_ua.astype(np.float64)).max(axis=1, initial=1)

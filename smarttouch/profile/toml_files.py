@@ -29,10 +29,10 @@ def list_profiles() -> list[str]:
     return sorted(path.stem for path in data_folder("calibration").glob("*.toml"))
 
 
-COARSEST_MM = 0.25  # largest ``skin.node_spacing_mm`` in a file of a small array
+COARSEST_MM = 0.25  # largest ``skin.node_spacing_mm`` of arrays with up to `MOST_FINE` electrodes
 MOST_FINE = 200
-"""Largest array for which `COARSEST_MM` holds, in electrodes: finer nodes of larger arrays may not
-fit into memory."""
+"""Number of electrodes up to which `COARSEST_MM` applies. Nodes of larger arrays might not fit into
+memory at this spacing."""
 
 
 def load_profile(name: str | Path | Profile) -> Profile:
@@ -41,7 +41,7 @@ def load_profile(name: str | Path | Profile) -> Profile:
     Raises
     ------
     ProfileError
-        If it does not exist, or has unknown keys or impossible values.
+        If the profile does not exist, or has unknown keys or impossible values.
 
     Examples
     --------
@@ -56,8 +56,8 @@ def load_profile(name: str | Path | Profile) -> Profile:
     skin, small = profile.skin, len(profile.electrodes) <= MOST_FINE
     if skin.medium != "plane" and skin.node_spacing_mm > COARSEST_MM and small:
         raise ProfileError(
-            f"{path}: skin.node_spacing_mm {skin.node_spacing_mm:g} is too coarse: between nodes "
-            f"other classes get a third more; set it to 0.1 (at most {COARSEST_MM:g})",
+            f"{path}: skin.node_spacing_mm {skin.node_spacing_mm:g} is too coarse, because other "
+            f"classes get a third more between nodes: set it to 0.1 (at most {COARSEST_MM:g})",
             key="skin.node_spacing_mm",
         )
     return profile
@@ -78,11 +78,11 @@ def profile_path(name: str | Path) -> Path:
 
 
 def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
-    """Return the profile in the table of a file; other files are relative to its folder."""
+    """Return the profile of a file's table. Paths in the table start at the file's folder."""
     try:
         profile = Profile.model_validate({**table, "name": path.stem})
     except ProfileError as error:
-        # Errors of the array do not name the file.
+        # Errors that `ElectrodeArray` raises do not name the file.
         message = f"{path}: {error}"
         error.args, error.complaints = (message,), ((error.key, message),)
         raise
@@ -103,7 +103,7 @@ CALIBRATED_KEYS: dict[str, tuple[str, ...]] = {
     "contact": ("output.impedance_kohm", "output.masked"),
 }
 """Keys measured by each calibration."""
-_A_LINE = 8  # numbers on one line of a long list
+_A_LINE = 8  # number of values on one line of a long list
 
 
 def as_toml(profile: Profile) -> str:
@@ -114,8 +114,8 @@ def as_toml(profile: Profile) -> str:
 
 
 def difference(one: Profile, other: Profile) -> str | None:
-    """Return the first key in which two profiles differ, except calibrations and defaults of
-    commands."""
+    """Return the first key in which two profiles differ, or None. Names, titles, calibrations and
+    defaults of commands are not compared."""
     measured = {key for keys in CALIBRATED_KEYS.values() for key in keys}
     values, others = dict(_flat(one)), dict(_flat(other))
     for key in values | others:

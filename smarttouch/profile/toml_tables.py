@@ -11,8 +11,8 @@ from smarttouch.base.files import read_toml
 
 
 class UnfitError(ValueError):
-    """An inconsistent value in a profile. Loading a file converts it to a `ProfileError` with the
-    same attributes. Key and value may be left out if pydantic knows them."""
+    """Error about an inconsistent value in a profile. Loading a file converts this error to a
+    `ProfileError` with the same attributes. Attributes that pydantic knows can be left out."""
 
     def __init__(self, message: str, **attributes: Any) -> None:
         super().__init__(message)
@@ -20,7 +20,7 @@ class UnfitError(ValueError):
 
 
 class AllUnfitError(ValueError):
-    """All inconsistent values in a profile."""
+    """Error about all inconsistent values in a profile."""
 
     def __init__(self, errors: tuple[UnfitError, ...]) -> None:
         super().__init__("; ".join(map(str, errors)))
@@ -48,14 +48,14 @@ Positive = Annotated[float, Field(gt=0), AfterValidator(_require_sensible)]
 
 
 class Table(BaseModel):
-    """Read-only table of a file, without unknown keys, NaN or infinite numbers."""
+    """Read-only table of a TOML file, which rejects unknown keys, NaN and infinite numbers."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False
     )
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return a copy with other values, validated like a file."""
+        """Return a copy with ``update`` applied, validated like a file."""
         if not update:
             return super().model_copy(deep=deep)
         set_fields = {name: getattr(self, name) for name in self.model_fields_set}
@@ -81,7 +81,7 @@ def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
 
 
 def validated(kind: type[_Table], name: object, table: dict[str, Any]) -> _Table:
-    """Return a table as a model. Raises ProfileError, with a name for it."""
+    """Validate a table as a model. Raises ProfileError, whose message begins with ``name``."""
     try:
         return kind.model_validate(table)
     except ValidationError as error:
@@ -89,7 +89,7 @@ def validated(kind: type[_Table], name: object, table: dict[str, Any]) -> _Table
 
 
 def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Error:
-    """Return an error that lists everything wrong in a file."""
+    """Return an error that lists what is wrong in a file: up to 8 complaints and their number."""
     details = [*_complaints(error)]
     sentences = [words for words, _ in details[:_MOST_IN_A_SENTENCE]]
     if len(details) > len(sentences):
