@@ -1,4 +1,4 @@
-"""Braille for texts, files and pages: paragraphs of cells, and lines of cells under the finger."""
+"""Braille of texts, files and pages, as paragraphs of cells and as lines that a finger reads."""
 
 import itertools
 from collections.abc import Iterator
@@ -41,7 +41,7 @@ class DocumentCells:
     pages: Pages | None = None
 
     def laid_out(self, columns: int | None, rows: int | None, indent: int = INDENT) -> Pages:
-        """Return pages of the given size; the default is the file's, or 40 cells and 25 lines."""
+        """Return pages of the given size; by default that of a BRF file, or 40 cells, 25 lines."""
         if self.pages is not None and columns is None and rows is None:
             return self.pages
         columns, rows = COLUMNS if columns is None else columns, ROWS if rows is None else rows
@@ -51,8 +51,8 @@ class DocumentCells:
 def document_cells(source: ReadingMaterial, table: BrailleTable, progress: Note) -> DocumentCells:
     """Convert a text, a file of cells or a document to cells.
 
-    The source's ``note`` is told of omitted parts. ``progress`` is called when pages of a document
-    are done.
+    Calls ``source.note`` with a sentence about omitted parts, and ``progress`` with the number of
+    pages done if a document has several.
     """
     if source.holds_cells:
         pages = read_brf(Path(source.name), source.note)
@@ -63,7 +63,7 @@ def document_cells(source: ReadingMaterial, table: BrailleTable, progress: Note)
             text = "\n".join(source.paragraphs(progress))
         cells = DocumentCells(table.paragraphs(text, source.note))
     if not any(paragraph.strip(BLANK) for paragraph in cells.paragraphs):
-        raise BrailleError("there is nothing to read: give a text, or a file with one")
+        raise BrailleError("there is nothing to read: give a text, or a file that contains text")
     return cells
 
 
@@ -73,9 +73,9 @@ class CellLayout:
 
     rows: int
     columns: int
-    dot_x: int  # from dot to dot
-    dot_y: int
-    cell: int  # from cell to cell
+    dot_x: int  # distance between columns of dots
+    dot_y: int  # distance between rows of dots
+    cell: int  # distance between cells
     eight: bool  # whether cells have eight dots, not six
     pitch_mm: tuple[float, float]  # pitch of the electrodes, across and down
     pixel_mm: float  # pixel size of drawn images
@@ -110,15 +110,15 @@ class CellLayout:
 
 
 def cell_layout(profile: Profile, eight: bool = False) -> CellLayout:
-    """Return the layout of Braille on an array, with distances as on paper."""
+    """Return the layout of Braille on an array, with distances close to those on paper."""
     electrodes = profile.electrodes
     rows, columns = (
         len(np.unique(np.round(electrodes.position_mm[:, axis], 6))) for axis in (1, 0)
     )  # fmt: skip
     if rows * columns != len(electrodes):
         raise ReadingError(
-            f"the electrodes of {profile.name} are not a grid of rows and columns, dots would fall "
-            "between them: choose another profile, or read letter shapes"
+            f"the electrodes of {profile.name} are not a grid of rows and columns, so dots would "
+            "fall between electrodes: choose another profile, or read letter shapes"
         )
     pitch_x, pitch_y = electrodes.cell_mm
     dot_x, dot_y = max(1, round(DOT_MM / pitch_x)), max(1, round(DOT_MM / pitch_y))
@@ -137,7 +137,7 @@ def cell_layout(profile: Profile, eight: bool = False) -> CellLayout:
 
 @dataclass(frozen=True)
 class Braille:
-    """Presentation as Braille cells, with a table of `open_table`."""
+    """Presentation as Braille cells; `table` is a name for `open_table`."""
 
     table: str = DEFAULT_TABLE
     tone: ClassVar[Tone] = Tone(0.5, 0.5, prepared=True)
@@ -146,8 +146,7 @@ class Braille:
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
     ) -> LineMotion:
-        """Return the motion of cells: from electrode to electrode, at the speed of letter
-        shapes."""
+        """Return a motion in steps of one electrode, by default at the speed of letter shapes."""
         speed_mm_s = usual_speed_mm_s(profile, rate_hz) if speed_mm_s is None else speed_mm_s
         return LineMotion(speed_mm_s, cell_layout(profile).pitch_mm[0])
 

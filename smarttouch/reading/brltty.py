@@ -1,10 +1,10 @@
 """``brltty:``: Braille display for the screen reader BRLTTY.
 
-BRLTTY's virtual driver connects to a port of this process. The display sends ``cells 20``, names of
-BRLTTY's commands, and ``quit``. BRLTTY sends the content of the display as ``Visual "Hello"`` and
+BRLTTY's virtual driver connects to a port of this process. The display sends ``cells 20`` and names
+of BRLTTY's commands. BRLTTY sends the content of the display as ``Visual "Hello"`` and
 ``Braille "1257|15|123|123|135"``: the dots of each cell, separated by bars, with a space for an
-empty cell. A backslash escapes quotes and backslashes. BrlAPI cannot replace this: its clients
-write to a display, but cannot read it.
+empty cell. A backslash escapes quotes and backslashes. BrlAPI is no alternative: its clients write
+to a display, but cannot read its content.
 """
 
 import contextlib
@@ -52,15 +52,15 @@ class DisplayContent:
 
     @property
     def cursor(self) -> int | None:
-        """Index of the cursor, which is the only cell with dots 7 and 8, or None."""
+        """Index of the cell with the cursor (the only cell with dots 7 and 8), or None."""
         under = [index for index, cell in enumerate(self.cells) if ord(cell) & _CURSOR == _CURSOR]
         return under[0] if len(under) == 1 else None
 
     def first_new(self, before: "DisplayContent") -> int | None:
-        """Return the index of the first cell to present again; None if only the cursor changed.
+        """Return the index of the first cell to present; None if at most the cursor changed.
 
-        If the cursor is at the first changed cell or behind it, the user is typing, and that cell
-        is first. Otherwise the line is new, and is presented from the beginning.
+        If the cursor is at the first changed cell or one cell after it, the user is typing, and the
+        changed cell is presented first. Otherwise a new line is presented from its start.
         """
         size = max(len(self.cells), len(before.cells))
         now, former = (content.cells.ljust(size, BLANK) for content in (self, before))
@@ -74,7 +74,7 @@ class DisplayContent:
 def parse_message(line: bytes) -> tuple[str, str]:
     """Parse a message: return its kind, ``Visual`` or ``Braille``, and its text or cells.
 
-    Both are empty if the line is not a message.
+    Returns two empty strings if the line is not a message.
     """
     match = _MESSAGE.fullmatch(line.decode("utf-8", "replace"))
     kind, content = match.groups() if match else ("", "")
@@ -90,17 +90,17 @@ def parse_message(line: bytes) -> tuple[str, str]:
 class BrailleDisplaySource(StimulusSource):
     """Source of the cells that BRLTTY shows, with one electrode for each dot.
 
-    After a change, cells are presented from the first new one, or from the cursor if only that
-    moved, to the last one. BRLTTY may disconnect and connect again; meanwhile nothing is presented.
+    After a change, cells are presented from the first new cell to the last, or from the cursor if
+    only the cursor moved. BRLTTY can disconnect and connect again; until then nothing is presented.
 
     Parameters
     ----------
     address : str
         ``PORT`` or ``HOST:PORT`` of this machine, where BRLTTY connects; the default is 35752.
     profile : Profile
-        Array, for `profile_for_reading`.
+        Result of `profile_for_reading`.
     cells : int
-        Width reported to BRLTTY.
+        Number of cells of the display that is reported to BRLTTY.
     speed_mm_s : float, mm/s, optional
         By default derived from the profile's pulse rate.
 
@@ -129,7 +129,7 @@ class BrailleDisplaySource(StimulusSource):
                 f"{address!r} is not an address: give PORT or HOST:PORT, for example {USUAL_PORT}"
             )
         if not 1 <= cells <= MOST_CELLS:
-            raise SourceError(f"a display of {cells} cells is not possible: give 1 to {MOST_CELLS}")
+            raise SourceError(f"a display cannot have {cells} cells: give 1 to {MOST_CELLS}")
         self.address: tuple[str, int] = (host.strip("[]") or "127.0.0.1", number)
         where = ":".join(map(str, self.address))
         super().__init__(f"BRLTTY at {where}")
@@ -187,7 +187,7 @@ class BrailleDisplaySource(StimulusSource):
                     self.shown = DisplayContent(content, text, number, time.perf_counter_ns())
 
     def send(self, command: str) -> None:
-        """Send a command of BRLTTY, such as ``fwinrt``; does nothing without a connection."""
+        """Send a command to BRLTTY, such as ``fwinrt``. Does nothing without a connection."""
         line = self._line
         if line is not None:
             with contextlib.suppress(OSError):
@@ -231,12 +231,12 @@ class BrailleDisplaySource(StimulusSource):
         light = np.where(self._dots, 0, 255).astype(np.uint8)
         grey = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_NEAREST), np.uint8)
         top_mm = self._jumps * (rows * down + LINE_GAP_MM) - rows * down / 2
-        # Both only increase, so the number changes with each of them.
+        # Jumps and updates are only counted up, so their sum changes with each of them.
         number = self._jumps + self._taken.number
         return Sheet(number, Page(grey, across / _DOT_PX), (0.0, top_mm))
 
     def read(self, time_ns: int) -> Stimulus | None:
-        """Return the cells under the array at a time; stale without a connection."""
+        """Return a stimulus with the dots under the array; stale without a connection."""
         shown, age_ns = self.shown, 0
         elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
         self._before_ns = time_ns
@@ -251,7 +251,7 @@ class BrailleDisplaySource(StimulusSource):
         if self._place != (self._taken.number, step):
             self._place = (self._taken.number, step)
             self.frames += 1
-        self.title: str = f"{self._name}: {self._taken.text if shown else 'waiting for it'}"
+        self.title: str = f"{self._name}: {self._taken.text if shown else 'not connected yet'}"
         # Columns of the text under the array; columns outside of the text are blank.
         left = step - layout.margin
         window = np.zeros((layout.rows, layout.columns), np.bool_)
@@ -261,7 +261,7 @@ class BrailleDisplaySource(StimulusSource):
         image = cv2.resize(light, self._shape, interpolation=cv2.INTER_NEAREST)
         activation = np.zeros((len(Afferent), window.size), np.float32)
         activation[:] = window.ravel()
-        # In the coordinates of poses each jump is a new line of the sheet.
+        # In poses, each jump begins a new line of the sheet.
         across, down = layout.pitch_mm
         pose = Pose(
             (left + layout.columns / 2) * across, self._jumps * (layout.rows * down + LINE_GAP_MM)

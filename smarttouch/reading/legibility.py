@@ -46,7 +46,7 @@ _SAME_SIGNS = str.maketrans(
     | dict.fromkeys("‐‑‒–—―−", "-")
     | {"\N{SOFT HYPHEN}": ""}
 )
-"""Characters that differ only by typeface or style."""
+"""Plain characters by their typographic variants."""
 
 
 def normalize(text: str) -> str:
@@ -54,10 +54,10 @@ def normalize(text: str) -> str:
 
     The text is normalized by Unicode's NFKC (ligatures become letters, an ellipsis three points).
     Quotation marks and dashes become plain ones, and white space, including line breaks, becomes
-    single spaces. Upper and lower case stay.
+    single spaces. Upper and lower case are kept.
     """
-    # Translate before NFKC, which splits a lone accent, and after it, as it may create such
-    # characters.
+    # Translate before NFKC, because NFKC splits a single accent character, and again after NFKC,
+    # because it can create characters of `_SAME_SIGNS`.
     text = unicodedata.normalize("NFKC", text.translate(_SAME_SIGNS)).translate(_SAME_SIGNS)
     return " ".join(text.split())
 
@@ -65,7 +65,7 @@ def normalize(text: str) -> str:
 def character_error_rate(truth: str, text: str) -> float:
     """Return the Levenshtein distance of normalized texts per character of the true text.
 
-    It is 0 for equal texts, and may exceed 1 if too much was read.
+    The rate is 0 for equal texts, and can exceed 1 if ``text`` is longer than ``truth``.
     """
     wanted = normalize(truth)
     if not wanted:
@@ -96,7 +96,7 @@ class LineDelivery:
 
 @dataclass(frozen=True, eq=False)
 class DeliveredLine:
-    """Pulses of a line as delivered to the skin."""
+    """Pulses that the simulated board delivered to the skin for one line."""
 
     picture: LinePicture
     length_mm: float
@@ -116,7 +116,7 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
     """
     profile = reading.profile
     source = ReadingSource("a line", profile, iter([line]), reading.motion)
-    # Also wait for the end of the text, so that frames do not depend on the computer's speed.
+    # Wait until the line and the end of the text are prepared, or frames depend on the CPU's speed.
     source.line(1, wait=True)
     poses: dict[int, Pose] = {}
     meant: dict[int, NDArray[np.bool_]] = {}
@@ -149,7 +149,7 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
 
 def deliver_lines(lines: Sequence[TouchLine], reading: LineDelivery) -> Iterator[DeliveredLine]:
     """Deliver lines on all cores; yield each when it is done."""
-    # For a single line starting a process takes too long.
+    # Starting a process takes longer than delivering a single line.
     work = Parallel(n_jobs=-1 if len(lines) > 1 else 1, return_as="generator", max_nbytes=None)
     yield from work(delayed(deliver_pulses)(line, reading) for line in lines)
 
@@ -162,7 +162,8 @@ _GAP = 0.45  # gap between lines for recognition, relative to their height
 class Legibility:
     """Legibility of letter shapes: error rates and texts recognized by Tesseract.
 
-    ``page_error_rate`` is for the page itself; None if its text serves as the true text.
+    ``page_error_rate`` is that of the text recognized on the page itself; None if this text serves
+    as the true text.
     """
 
     character_error_rate: float
@@ -179,11 +180,10 @@ def legibility_of_shapes(
     truth: str | None = None,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Legibility:
-    """Deliver letter shapes, recognize text in the delivered pulses, and compare it with the true
-    text.
+    """Deliver letter shapes, recognize their text in the pulses, and compare it with the truth.
 
-    The default true text is what Tesseract reads on the page. ``progress`` is called with the
-    numbers of lines done and in all.
+    By default, the true text is the text that Tesseract recognizes on the page. ``progress`` is
+    called with the number of lines done and the total number of lines.
     """
     require_rows(reading.profile, source.note)
     _levenshtein()  # fail before the long run if the extra is missing
@@ -214,10 +214,10 @@ def legibility_of_shapes(
 
 
 def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
-    """Recognize the text of pictures placed below each other, as on a page.
+    """Recognize the text of pictures of lines, placed below each other as on a page.
 
-    Tesseract recognizes blurred lines better with neighbors; it cannot read a single line without
-    ascenders.
+    Tesseract recognizes blurred lines better if they have neighbors, and it cannot read a single
+    line without ascenders.
     """
     strips = [picture.picture(_LINE_PIXELS) for picture in pictures]
     gap = round(_GAP * _LINE_PIXELS)
@@ -230,9 +230,9 @@ def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
 
 
 _PERIODS = 10
-"""Number of periods for which a letter is presented; noise and refractory state vary."""
-_OPENING_US = MOST_STEP_NS // 1000
-"""Period of the pulses that raise the intensity; the ramp does not count longer ones."""
+"""Number of periods for which a letter is presented, as noise and refractoriness vary by period."""
+_RAMP_US = MOST_STEP_NS // 1000
+"""Period of the sequences that raise the intensity: the longest that the ramp counts in full."""
 
 
 @dataclass(frozen=True)
@@ -269,9 +269,9 @@ def letter_sequences(
         pipeline.restart_at_zero()
         level = 0.0
         while level < intensity and drawn.any():
-            # These pulses raise the intensity through the ramp.
-            step = pipeline.process(Stimulus(activation, time_ns, force_n, _OPENING_US), intensity)
-            level, time_ns = step.sequence.intensity, time_ns + 1000 * _OPENING_US
+            # Intensity rises only with pulses, at the rate of the ramp.
+            step = pipeline.process(Stimulus(activation, time_ns, force_n, _RAMP_US), intensity)
+            level, time_ns = step.sequence.intensity, time_ns + 1000 * _RAMP_US
         step = pipeline.process(Stimulus(activation, time_ns, force_n, period_us), intensity)
         time_ns += 1000 * period_us
         shown[letter] = step.sequence, drawn > 0
@@ -285,7 +285,7 @@ def letters_on_finger(
     wanted: Sequence[Afferent],
     known: Mapping[str, Floats],  # see `letter_templates`
 ) -> list[LetterResponse]:
-    """Return the response of a finger to letters, each for ten periods."""
+    """Return the response of a finger to each letter, presented for ten periods."""
     model, letters = SpikeModel(finger, finger.seed), []
     for letter, (slots, active) in shown.items():
         above = model.drive(slots.current_ua, slots.width_us)
@@ -311,7 +311,7 @@ def spikes_and_letter(
 
 
 def letter_templates(profile: Profile) -> dict[str, Floats]:
-    """Return the templates of all letters, (E,), with mean 0 and norm 1."""
+    """Return a template of each letter, (E,), with mean 0 and norm 1."""
     return {letter: _centered(draw_letter(letter, profile)) for letter in ALPHABET}
 
 

@@ -29,22 +29,22 @@ from smarttouch.sources.source_contract import Frame
 
 ENOUGH_ROWS = 8
 """Sufficient number of rows: with 4, half of the characters are lost; with 8, about 1 %."""
-INK_LEVEL = 128  # gray level of prepared pages below which is ink
+INK_LEVEL = 128  # gray level of a prepared page below which a pixel counts as ink
 NIB_PIXELS = PIXELS_PER_CELL - 1  # width of a thinned stroke
 _PLAIN = Tone(0.3, 0.3, prepared=True)
-"""Smallest share of ink in an active cell. With 0.5, thin strokes are lost, and 8 to 20 % of
-characters on 8 rows cannot be read; with this value 1 to 3 %."""
+"""Tone curve of lines: a cell is active if 0.3 of it is ink. On 8 rows, 1 to 3 % of the characters
+cannot be read. With 0.5 thin strokes are lost, and 8 to 20 % cannot be read."""
 _GRADED = Tone(0.0, 1.0, prepared=True)
 _DRAWN = Tone(0.35, 0.35, prepared=True)
 """Tone curve of single letters, whose strokes are one cell wide."""
 UNKNOWN_LEVEL = 0.7
-"""Intensity, relative to the comfort level, at which simulated fingers read lines best with the
-worse of two anatomies, see `examples/studies/reading_pages.py`."""
+"""Intensity, relative to the comfort level, at which simulated fingers read lines best. Of the two
+anatomies, the one that reads worse counts, see `examples/studies/reading_pages.py`."""
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """Presentation as lines of print."""
+    """Presentation of text as letter shapes, in lines of print."""
 
     graded: bool = False
     """Whether activation is proportional to the ink in a cell, as simulations need."""
@@ -57,14 +57,14 @@ class Shapes:
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
     ) -> LineMotion:
-        """Return the motion of lines, which is smooth, so that each edge passes each electrode."""
+        """Return a smooth motion of lines, so that each edge of a letter passes each electrode."""
         return LineMotion(usual_speed_mm_s(profile, rate_hz) if speed_mm_s is None else speed_mm_s)
 
     def lines(self, source: ReadingMaterial, profile: Profile) -> Iterator[TouchLine]:
         """Yield lines of letter shapes with their text, recognized by Tesseract if unknown."""
         require_rows(profile, source.note)
         if source.holds_cells:
-            raise ReadingError(f"{source.name} holds Braille, not letters: read it as Braille")
+            raise ReadingError(f"{source.name} contains Braille, not letters: add --as braille")
         for prepared in source.prepared():
             words = _words_of(prepared, source)
             for index in range(len(prepared.lines)):
@@ -85,8 +85,8 @@ def require_rows(profile: Profile, note: Note) -> None:
     rows = _require_fewest_rows(profile, ReadingError)
     if rows < ENOUGH_ROWS:
         note(
-            f"{profile.name} has {rows} rows of electrodes: many letters are indistinguishable on "
-            f"fewer than {ENOUGH_ROWS}, read Braille instead"
+            f"{profile.name} has {rows} rows of electrodes, but many letters are indistinguishable "
+            f"on fewer than {ENOUGH_ROWS}: read Braille instead (--as braille)"
         )
 
 
@@ -94,14 +94,14 @@ def _require_fewest_rows(profile: Profile, error: type[SmartTouchError]) -> int:
     rows = rows_of(profile)
     if rows < FEWEST_ROWS:
         raise error(
-            f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letters need at least "
-            f"{FEWEST_ROWS}: choose another profile, for example electric-mouse"
+            f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, but letters need at "
+            f"least {FEWEST_ROWS}: choose another profile, for example electric-mouse"
         )
     return rows
 
 
 def shape_line(prepared: PreparedPage, index: int, profile: Profile, text: str = "") -> TouchLine:
-    """Return a line of print, scaled so that ascender to descender fills the array."""
+    """Return a line of print, scaled so that its height, ascender to descender, fills the array."""
     strip = prepared.strip(index, profile.optics.sensor_rows)
     pixel_mm = pixel_pitch_mm(profile)
     half_mm = profile.optics.field_width_mm / 2

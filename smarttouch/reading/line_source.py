@@ -21,7 +21,7 @@ from smarttouch.pages.page_image import Page
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
 
-LAND_S = 0.15  # time for the finger to land on a line
+LAND_S = 0.15  # time from the start of a line until the virtual finger presses on it
 SETTLE_S = 0.75
 """Rest at the start of a line while intensity rises; meanwhile a point marks the start."""
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
@@ -37,15 +37,15 @@ class TouchLine:
     """A line of letter shapes or Braille cells, at the size of the array."""
 
     image: NDArray[np.uint8]  # (H, W), dark on white, as high as the array
-    start_mm: float  # first place of the array's middle, from the image's left edge
-    end_mm: float
+    start_mm: float  # place of the array's center at the start, from the image's left edge
+    end_mm: float  # place of the array's center at the end
     text: str = ""
     cells: str = ""
 
 
 @dataclass(frozen=True)
 class LineMotion:
-    """Motion of lines under the finger, smooth if the step is 0."""
+    """Motion of lines under the finger, in steps of `step_mm`, or smooth if it is 0."""
 
     speed_mm_s: float
     step_mm: float = 0.0
@@ -55,19 +55,19 @@ class LineMotion:
 
 
 class ReadingSource(OpticalSource):
-    """Frames of lines that pass under the finger; the profile is from `profile_for_reading`.
+    """Source of images of lines that pass under the finger.
 
-    Poses are on a sheet with all lines below each other, at the scale of the array. An error of the
-    iterator is raised when the finger arrives at that line.
+    Poses are places on a sheet with all lines below each other, at the scale of the array. An error
+    that ``lines`` raises for a line is raised again when the finger arrives at this line.
 
     Parameters
     ----------
     title : str
         Name of the text.
     profile : Profile
-        Array that reads.
+        Result of `profile_for_reading`.
     lines : iterator of TouchLine
-        Lines, which a thread takes in advance.
+        Lines, which a thread prepares in advance.
     motion : LineMotion
         Speed and steps.
     pause_s : float, s
@@ -118,7 +118,7 @@ class ReadingSource(OpticalSource):
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._prepare, args=(lines,), daemon=True)
         self._thread.start()
-        # The interpreter would abort if a library still works on a thread at exit.
+        # Stop the thread before exit: the interpreter would abort if a library still runs on it.
         atexit.register(self._stop)
 
     @property
@@ -155,7 +155,7 @@ class ReadingSource(OpticalSource):
         return self._shape[0] * self._pixel_mm + LINE_GAP_MM
 
     def read(self, time_ns: int) -> Frame | None:
-        """Return the image under the array at a time; None after the last line."""
+        """Return a frame with the image under the array; None after the last line."""
         elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
         self._before_ns = time_ns
         while self._asked:
@@ -196,7 +196,7 @@ class ReadingSource(OpticalSource):
         self._thread.join()
 
     def _prepare(self, lines: Iterator[TouchLine]) -> None:
-        """Put lines into the queue, and finally an error or None."""
+        """Put lines into the queue, and at the end None or the error that ended preparation."""
         count, end = 0, None
         try:
             for line in lines:
@@ -217,7 +217,7 @@ class ReadingSource(OpticalSource):
 
     def line(self, index: int, wait: bool = False) -> TouchLine | None:
         """Return a line; None if it does not exist, is no longer stored, or (without ``wait``) is
-        not ready. For the thread that calls `read`."""
+        not ready. Only for the thread that calls `read`."""
         while index >= self._count and not self._is_over:
             try:
                 item = self._queue.get(wait)
@@ -264,7 +264,7 @@ class ReadingSource(OpticalSource):
     def _draw(self, line: TouchLine, x_mm: float, image: NDArray[np.uint8]) -> None:
         """Draw the image under the array, and the point that marks the start of the line.
 
-        Only delivered pulses raise the intensity: the point provides them before the text.
+        Intensity rises only with delivered pulses. Those of the point raise it before the text.
         """
         rows, columns = self._shape
         left = x_mm / self._pixel_mm - columns / 2

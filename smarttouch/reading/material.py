@@ -21,13 +21,13 @@ from smarttouch.reading.recognition import (
     upright_page,
 )
 
-TEXT = "text:"  # prefix of a text that is not a file name
+TEXT = "text:"  # prefix of a name that contains the text itself
 _PRINTED_AT_ONCE = 20  # number of lines of a text on one printed page
 
 
 @dataclass(frozen=True)
 class ReadingMaterial:
-    """Material to read: a file, or ``text:`` and words. Warnings go to ``note``."""
+    """Material to read: a file, or ``text:`` and words. ``note`` is called with each warning."""
 
     name: str
     options: RecognitionOptions = field(default_factory=RecognitionOptions)
@@ -45,7 +45,7 @@ class ReadingMaterial:
 
     @property
     def holds_cells(self) -> bool:
-        """True if it is a file of Braille cells."""
+        """Whether the material is a file of Braille cells."""
         return self.kind is FileKind.BRF
 
     @cached_property
@@ -60,9 +60,9 @@ class ReadingMaterial:
         return None
 
     def pages(self) -> Iterator[tuple[int, Page]]:
-        """Yield numbers and pages of a document, as selected by the options.
+        """Yield the number and the image of each page that the options select.
 
-        An assumed scale is not reported, as all lines are scaled to the array.
+        No note reports an assumed scale, because lines are scaled to the array anyway.
         """
         options = self.options
         with Document(
@@ -76,8 +76,8 @@ class ReadingMaterial:
                 yield index + 1, document.page(index)
 
     def prepared(self) -> Iterator[PreparedPage]:
-        """Yield upright pages that have print, see `upright_page`; a text is printed first. Raises
-        ReadingError if no page has print."""
+        """Yield the pages that have print, upright (see `upright_page`). A text is drawn as pages.
+        Raises ReadingError if no page has print."""
         if self.words is None:
             has_lines: dict[int, bool] = {}
             for number, page in self.pages():
@@ -102,7 +102,7 @@ class ReadingMaterial:
         """
         lines: list[PrintedLine] = []
         has_text: dict[int, bool] = {}
-        # Tesseract runs as a process, so threads are sufficient.
+        # Tesseract runs as a separate process, so threads are sufficient.
         work = Parallel(
             n_jobs=-1, backend="threading", return_as="generator", pre_dispatch="n_jobs"
         )
@@ -146,8 +146,8 @@ def _report_empty_pages(has_text: dict[int, bool], note: Note) -> None:
     """Report the numbers of pages without text. Raises ReadingError if no page has text."""
     if not any(has_text.values()):
         raise ReadingError(
-            "no line of text was found: is it a page of print, sharp, and large enough "
-            "(letters of 6 pixels and more)?"
+            "no line of text was found: give a sharp page of print, with letters at least 6 pixels "
+            "high"
         )
     if empty := [str(number) for number, has in has_text.items() if not has]:
         note(f"no line of text on page {', '.join(empty)}")

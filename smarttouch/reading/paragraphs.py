@@ -1,4 +1,4 @@
-"""Joining of lines to paragraphs, without running heads and page numbers."""
+"""Joining of printed lines to paragraphs, without running heads and page numbers."""
 
 import itertools
 import re
@@ -11,17 +11,17 @@ import numpy as np
 from smarttouch.pages.page_image import TextLine
 from smarttouch.reading.recognition import Note
 
-_GAP = 1.35  # relative line distance above which a paragraph begins
-_LARGER = 1.2  # ratio of x-heights above which sizes differ, as in headings
+_GAP = 1.35  # line distance, relative to the page's median, above which a paragraph begins
+_LARGER = 1.2  # ratio of x-heights above which two lines differ in size of print
 _INDENT = 0.8  # smallest indent of a paragraph, in x-heights
 _EVEN = 0.5  # tolerance of the right ends of full lines, in x-heights
-_SHORT = 0.15  # smallest free share of a line that ends early before a lower-case letter
-_OPEN = 1 / 3  # share of lines that end early within a sentence, as in verse, addresses and lists
-_LONGEST_VERSE = 60  # characters; a longer full line continues
+_SHORT = 0.15  # free share of a line above which it ends early, even before a lower-case letter
+_OPEN = 1 / 3  # share of lines ending early within a sentence that marks verse, addresses and lists
+_LONGEST_VERSE = 60  # longest full line, in characters, that counts as a line of verse
 _LEADERS = re.compile(r"(?:\s?[.·…‥•]){4,}\s*;?\s*(?=\S*\d\S*$|[ivxlc]{1,7}\W*$)")
 """Leader dots before a page number or a price, in the same cell or the next."""
 _BLANK = re.compile(r"(?:_{3,}|(?:\s?[.…]){5,})\W*$")
-"""Blank to fill in at the end of a line."""
+"""Blank space to write in, as on forms, at the end of a line."""
 _BULLETS = r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]"
 _MARK = re.compile(
     rf"{_BULLETS}|\(?\d{{1,3}}(?:\.\d{{1,3}})*[.)]?\s|\(?[ivx]{{1,5}}[.)]\s|"
@@ -30,16 +30,16 @@ _MARK = re.compile(
 """Mark of a list item."""
 _HYPHENS = "-\u00ad\u2010\u2011\x02\ufffe¬"
 _AND = frozenset(["and", "or", "und", "oder", "bis", "bzw"])
-"""Words before which a hyphen stays, as in "pre- and post-war"."""
-_ALONE = frozenset(["self", "well"])  # parts of compounds whose hyphen stays
+"""Words before which a hyphen is kept, as in "pre- and post-war"."""
+_HYPHENATED = frozenset(["self", "well"])  # first parts of compounds that keep their hyphen
 _SAME_MM = 5.0  # tolerance for lines that repeat at the same height on several pages
-_HEAD_GAP = 1.15  # relative line distance between a running head and the text
-_MOST_HEADS = 4  # largest number of lines of running heads; more mean copies of a page
+_HEAD_GAP = 1.15  # smallest distance from a running head to the text, in median line distances
+_MOST_HEADS = 4  # largest number of running heads; more repeated lines mean copies of a form
 
 
 @dataclass(frozen=True)
 class PrintedLine:
-    """Line of a page: text, page number, and place, mm; see `TextLine`."""
+    """Text of a `TextLine`, with the number of its page and its place, mm."""
 
     text: str
     page: int
@@ -67,8 +67,8 @@ def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) ->
 
 
 def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]:
-    """Return lines without running heads and page numbers: lines at the top or bottom that repeat,
-    or count, at the same height on two or more pages. ``note`` is told of them."""
+    """Return lines without running heads and page numbers, which ``note`` reports. These are lines
+    at the top or bottom that are equal, except for page numbers, at one height on several pages."""
     pages = [
         sorted(page, key=lambda line: line.y_mm)
         for _, page in itertools.groupby(lines, lambda line: line.page)
@@ -106,7 +106,8 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
 
 
 def _keys(line: PrintedLine) -> Iterator[str]:
-    """Yield a line's text, and variants with one number relative to the page number."""
+    """Yield keys that a line shares with lines of other pages if both are the same running head:
+    its text, and variants in which one number is replaced by its distance to the page number."""
     yield line.text
     for number in re.finditer(r"\d{1,5}", line.text):
         before, after = line.text[: number.start()], line.text[number.end() :]
@@ -140,7 +141,7 @@ def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
             current = None
             continue
         if k and line.page != lines[k - 1].page:
-            # A footnote may stand between the parts of a paragraph.
+            # A footnote can precede this line, so continue the last paragraph in its size of print.
             alike = (earlier for earlier in reversed(joined) if lines[earlier.last].is_like(line))
             current = next(alike, None)
         text = _LEADERS.sub(" ", line.text)
@@ -162,7 +163,7 @@ class _Paragraph:
 
 
 class _Layout:
-    """Columns and blocks of lines: their right margins, and whether they keep their lines."""
+    """Columns and blocks of lines: right margins, and whether lines of a block stay separate."""
 
     def __init__(self, lines: Sequence[PrintedLine]) -> None:
         self._lines = lines
@@ -182,7 +183,7 @@ class _Layout:
         for column in self._runs(lambda before, line: line.y_mm <= before.y_mm or bool(line.cell)):
             self._measure(column, pages[lines[column[0]].page])
         for block in self._runs(self._is_apart):
-            self._judge(block)
+            self._classify(block)
 
     def _runs(self, parts: Callable[[PrintedLine, PrintedLine], bool]) -> Iterator[list[int]]:
         """Yield runs of indices of successive lines on a page that ``parts`` does not separate."""
@@ -197,8 +198,8 @@ class _Layout:
             yield run
 
     def _measure(self, column: Sequence[int], page: Sequence[PrintedLine]) -> None:
-        """Find the right margin of the lines of a column: that of its other lines, limited by
-        neighboring columns."""
+        """Find the right margin of each line of a column: the largest right end of lines of its
+        size, up to the neighboring column."""
         lines = self._lines
         for k in column:
             near_mm = self._step_mm[lines[k].page] / 2
@@ -212,9 +213,9 @@ class _Layout:
                 if lines[other].right_mm < limit_mm and lines[other].is_like(lines[k])
             )  # fmt: skip
 
-    def _judge(self, block: Sequence[int]) -> None:
-        """Decide which lines of a block stay separate, and which are hanging lines of a
-        paragraph."""
+    def _classify(self, block: Sequence[int]) -> None:
+        """Decide whether the lines of a block stay separate, and whether the block has hanging
+        indents."""
         lines = [self._lines[k] for k in block]
         pairs = list(itertools.pairwise(block))
         right_mm = np.array([line.right_mm for line in lines[:-1]])
@@ -238,7 +239,7 @@ class _Layout:
         return not (is_near and before.is_like(line)) or bool(line.cell or before.cell)
 
     def _is_ragged(self, before: int, k: int) -> bool:
-        """Return whether the first word of a line would have fitted into the line before."""
+        """Return whether the first word of line ``k`` would have fitted into the line before."""
         line = self._lines[k]
         word = line.text.split()[0]
         per_character = (line.right_mm - line.left_mm) / len(line.text)
@@ -344,7 +345,7 @@ def _table_rows(cells: Sequence[PrintedLine]) -> list[str]:
 
 
 def _joined(before: str, after: str, compounds: set[str]) -> str:
-    """Join two lines. A dividing hyphen is removed; that of North-South stays."""
+    """Join two lines. A hyphen that divides a word is removed, that of a compound is kept."""
     last = before.split()[-1]
     if "://" in last and last[-1] in "/?&=_%#-":
         return before + after
@@ -356,7 +357,7 @@ def _joined(before: str, after: str, compounds: set[str]) -> str:
         return f"{before[:-1]}- {after}"
     are_capitals = len(one) > 1 and (one + other).isupper()
     divides = after[0].islower() or are_capitals
-    is_compound = f"{one}-{other}".lower() in compounds or one.lower() in _ALONE
+    is_compound = f"{one}-{other}".lower() in compounds or one.lower() in _HYPHENATED
     if before[-1] == "\u00ad" or (divides and not is_compound):
         return before[:-1] + after
     return f"{before[:-1]}-{after}"

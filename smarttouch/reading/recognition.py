@@ -28,23 +28,23 @@ Read = tuple[str, float]
 
 PAGE, BLOCK, _LINE = 3, 6, 7  # page segmentation modes of Tesseract
 LARGEST_SIDE = 32_000  # largest side, pixels; Tesseract's limit is 32,767
-_TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # time limit of a call, and per additional image
+_TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # time limit of a call, and its extension for each strip
 _WORD, _COLUMNS = "5", 12
-"""Level of words in Tesseract's table, and its columns: level, page, block, paragraph, line, word,
-left, top, width, height, confidence, text."""
+"""Level of words in Tesseract's table, and number of its columns: level, page, block, paragraph,
+line, word, left, top, width, height, confidence, text."""
 STRIP_MARGIN = 0.25
-"""White margin around a strip, relative to its height. On noisy and blurred strips 1.6 % of the
-characters were wrong, but 3.1 % with 0.15, and 2.3 % with 0.45."""
+"""White margin around a strip, relative to its height. On noisy and blurred strips, 1.6 % of the
+characters were wrong with 0.25, 3.1 % with 0.15, and 2.3 % with 0.45."""
 _STRIP_PX, _NARROWER = 32, 0.85
 """Height of lines for recognition, ascender to descender, and factor for their width: narrower
 lines are recognized faster, without more errors."""
 SURE = 0.6  # mean confidence below which a warning is given
 _LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "uig", "urd", "yid"])
 """Tesseract's codes of languages written from right to left."""
-_FIRST, _LONGEST = 5, 3  # numbers of lines compared between orientations
+_FIRST, _LONGEST = 5, 3  # numbers of first and of longest lines recognized in each orientation
 _UPRIGHT, _FEWEST_LETTERS = 0.7, 30
-"""Mean confidence above which a page is upright, and the smallest number of letters for it."""
-_MORE = 1.15  # factor by which more must be recognized to accept another orientation
+"""A page is upright if the mean confidence reaches the first value over this number of letters."""
+_MORE = 1.15  # ratio of recognized letters above which another orientation is chosen
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ def recognize(
     """Recognize the lines of text on an image, (H, W) uint8, dark on bright.
 
     ``languages`` are codes such as ``eng+deu``; ``layout`` is `PAGE` or `BLOCK`. Tesseract does not
-    correct images: paper should be white and evenly lit, and an x about 20 pixels high. Enlarge it
-    if it is below 10, unless it is blurred.
+    correct images: paper should be white and evenly lit, and the x-height about 20 pixels. If it is
+    below 10 and the image is sharp, enlarge the image.
     """
     lines = itertools.groupby(_words([image], languages, layout, timeout_s), lambda row: row[1:5])
     return "\n".join(_joined(words)[0] for _, words in lines)
@@ -93,7 +93,7 @@ def recognize_lines(strips: Sequence[NDArray[np.uint8]], languages: str = "eng")
 def _words(
     images: Sequence[NDArray[np.uint8]], languages: str, layout: int, timeout_s: float
 ) -> list[list[str]]:
-    """Return the words of Tesseract's table; the page is the index of the image.
+    """Return the rows of words in Tesseract's table; column 1 is the index of the image.
 
     Blank and empty images have no words.
     """
@@ -107,7 +107,7 @@ def _words(
         # Strips are dark on white, so do not try light on dark.
         options[:0] = ["-c", "tessedit_do_invert=0"]
     pages = [_fitting(images[k]) for k in shown]
-    # Pillow takes several times as long.
+    # OpenCV writes a TIFF several times as fast as Pillow.
     _, file = cv2.imencodemulti(".tiff", pages, [cv2.IMWRITE_TIFF_COMPRESSION, 1])
     table = _run_tesseract(options, file.tobytes(), timeout_s)
     rows = [line.split("\t", _COLUMNS - 1) for line in table.split("\n")]
@@ -118,7 +118,7 @@ def _words(
 
 
 def _fitting(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return an image, reduced if one of its sides is too long for Tesseract."""
+    """Return an image, scaled down if a side is too long for Tesseract."""
     scale = LARGEST_SIDE / max(image.shape)
     if scale >= 1:
         return np.ascontiguousarray(image)
@@ -139,20 +139,20 @@ def _run_tesseract(options: Sequence[str], image: bytes, timeout_s: float) -> st
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            # More threads mostly wait for each other.
+            # More threads of OpenMP would mostly wait for each other.
             env={**os.environ, "OMP_THREAD_LIMIT": "1"},
         )
     except OSError as error:
         raise ReadingError(f"{program} does not start: {error.strerror}") from None
     with running:
-        # End Tesseract with the program, or a waiting thread would keep it alive.
+        # If this program exits, kill Tesseract: a thread that waits for it would keep both alive.
         atexit.register(running.kill)
         try:
             output, messages = (stream.decode("utf-8", "replace")
                             for stream in running.communicate(image, timeout_s))  # fmt: skip
         except subprocess.TimeoutExpired:
             raise ReadingError(
-                f"Tesseract read nothing for {timeout_s:g} s: give it a smaller image"
+                f"Tesseract did not finish within {timeout_s:g} s: give a smaller image"
             ) from None
         finally:
             atexit.unregister(running.kill)
@@ -171,7 +171,7 @@ def _run_tesseract(options: Sequence[str], image: bytes, timeout_s: float) -> st
 
 
 def _joined(words: Iterable[list[str]]) -> Read:
-    """Join words to a line, with spaces except in Chinese and Japanese."""
+    """Join words to a line, with spaces between words except in Chinese and Japanese."""
     text, sure, letters = "", 0.0, 0
     for row in words:
         word = row[-1].strip()
@@ -190,7 +190,7 @@ def _is_ideographic(sign: str) -> bool:
 def upright_page(number: int, page: Page, options: RecognitionOptions, note: Note) -> PreparedPage:
     """Return a straight and upright page, ink on white paper, with lines in reading order.
 
-    A page that contains its text is upright already. Raises ReadingError for a picture of Braille.
+    A page whose file contains its text is not corrected. Raises PageError for pictures of Braille.
     """
     for words in page.notes:
         note(f"page {number}: {words}")
@@ -198,7 +198,7 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
         ink = separate_ink(page.grey, options.light_on_dark)
         return PreparedPage(page, ink.cleaned, page.lines, ink.light_on_dark, (), page.words)
     prepared, turn_deg = _turned(page, 0, options), 0
-    # Without Tesseract the orientation is unknown.
+    # Without Tesseract, keep the orientation of the page.
     with contextlib.suppress(ReadingError):
         _recognize(prepared, range(len(prepared.lines)), options)
     legible, letters = _legible(prepared.known.values())
@@ -221,8 +221,8 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
 def _most_legible(
     page: Page, prepared: PreparedPage, options: RecognitionOptions
 ) -> tuple[PreparedPage, int]:
-    """Return a page in the orientation in which the most letters of some lines are recognized, and
-    its rotation in degrees, clockwise."""
+    """Return the page in the orientation in which most letters are recognized, and the clockwise
+    rotation of the page, degrees."""
     best, most_legible = (prepared, 0), _sampled(prepared, options)
     for turn_deg in (90, 180, 270):
         candidate = _turned(page, turn_deg, options)
@@ -239,7 +239,7 @@ def _turned(page: Page, turn_deg: int, options: RecognitionOptions) -> PreparedP
 
 
 def _sampled(prepared: PreparedPage, options: RecognitionOptions) -> float:
-    """Return the number of letters recognized in some lines of a page, weighted by confidence."""
+    """Return the number of letters recognized in a sample of lines, weighted by confidence."""
     lines = prepared.lines
     longest = sorted(range(len(lines)), key=lambda k: lines[k].left_mm - lines[k].right_mm)
     sample = sorted({*range(min(_FIRST, len(lines))), *longest[:_LONGEST]})
@@ -261,7 +261,7 @@ def _strip(prepared: PreparedPage, index: int) -> NDArray[np.uint8]:
 
 
 def _legible(read: Iterable[Read]) -> tuple[float, int]:
-    """Return the number of recognized letters, first weighted by confidence, then unweighted."""
+    """Return the number of recognized letters, weighted by confidence and unweighted."""
     known = list(read)
     return sum(len(text) * sure for text, sure in known), sum(len(text) for text, _ in known)
 
@@ -269,7 +269,7 @@ def _legible(read: Iterable[Read]) -> tuple[float, int]:
 def recognized_lines(
     prepared: PreparedPage, options: RecognitionOptions, note: Note
 ) -> Iterator[tuple[int, str]]:
-    """Yield numbers and texts of the lines of a page."""
+    """Yield the index and the text of each line of a page."""
     if prepared.words:
         yield from enumerate(prepared.words)
         return
@@ -280,6 +280,6 @@ def recognized_lines(
     sure = legible / max(1, letters)
     if sure < SURE:
         note(
-            f"the text was recognized with only {sure:.0%} confidence: it may be handwriting, "
-            f"a picture, or in another language than {options.languages}"
+            f"the text was recognized with only {sure:.0%} confidence: is it handwriting, a "
+            f"picture, or in another language than {options.languages} (set languages)?"
         )
