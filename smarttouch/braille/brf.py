@@ -35,7 +35,7 @@ _DIGITS = str.maketrans("⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚", "1234567890")
 
 
 def read_brf(path: Path, note: Callable[[str], None] = lambda _: None) -> Pages:
-    """Read a BRF file without its page numbers; ``note`` is told of them."""
+    """Read a BRF file, and remove its page numbers as `without_page_numbers` does."""
     return without_page_numbers(parse_brf(read_bytes(path, BrailleError, MOST_BYTES), path), note)
 
 
@@ -46,14 +46,14 @@ def ascii_braille(line: str) -> str:
         if pattern(cell) >= SIX_DOT_PATTERNS:
             raise BrailleError(
                 f"{cell} (cell {column} of a line) has dots 7 or 8, which ASCII Braille cannot "
-                "hold: choose a table of 6 dots"
+                "represent: choose a table of 6 dots"
             )
     return "".join(_CODE[pattern(cell)] for cell in line)
 
 
 def format_brf(pages: Pages) -> bytes:
     """Convert pages to BRF. Raises BrailleError if a cell has dots 7 or 8."""
-    # A form feed before an empty line would look like a form feed on its own line.
+    # A form feed before an empty line would read as one on its own line, so write a blank there.
     sheets = ("".join(f"{ascii_braille(line)}\r\n" for line in page) for page in pages)
     return "\f".join(re.sub(r"^\r", " \r", sheet) for sheet in sheets).encode("ascii")
 
@@ -61,8 +61,8 @@ def format_brf(pages: Pages) -> bytes:
 def parse_brf(data: bytes, name: Path | str = "BRF") -> Pages:
     """Parse a BRF file; ``name`` is for error messages.
 
-    Lines end with CR, LF or both. Pages end with a form feed, which may be on its own line. Padding
-    by blanks, NUL and ^Z is dropped. Cells may also be Unicode.
+    Lines end with CR, LF or both. Pages end with a form feed, which can be on its own line. Padding
+    by blanks, NUL and ^Z is dropped. Cells can also be Unicode Braille characters.
     """
     text = re.sub("\r\n?", "\n", _decoded(data))
     text = re.sub(r"[\x00\x1a]+(?=\s*(?:\f|\Z))", "", text).rstrip(" \n\f").removeprefix("\f")
@@ -95,14 +95,15 @@ def _cells(line: str, name: Path | str, line_number: int) -> str:
             kind = _NAMES.get(code) or (repr(code) if code.isprintable() else "a control code")
             raise BrailleError(
                 f"{name}, line {line_number}, column {column}: {number} is {kind}, not ASCII "
-                "Braille: export the file again as BRF, or give a text another ending than "
-                f"{Path(name).suffix or '.brf'}"
+                "Braille: export the file again as BRF or, if it is a text, give its name another "
+                f"ending than {Path(name).suffix or '.brf'}"
             )
     return cells
 
 
 def _without_padding(pages: Pages) -> Pages:
-    """Remove blank lines that only fill pages, if indents begin paragraphs."""
+    """Remove the empty lines that fill up pages. Keep them if no line is indented, because they can
+    then separate paragraphs."""
     indents = any(line.startswith(BLANK) for page in pages for line in page)
     if indents and any(page[-2:] == ["", ""] for page in pages[:-1]):
         for page in pages[:-1]:
@@ -112,9 +113,9 @@ def _without_padding(pages: Pages) -> Pages:
 
 
 def without_page_numbers(pages: Pages, note: Callable[[str], None]) -> Pages:
-    """Remove page numbers in one corner of two or more pages.
+    """Remove page numbers that are in the same corner of two or more pages.
 
-    Repeated text beside such a number is removed, too. ``note`` receives a sentence about each.
+    Repeated text beside them is removed, too. ``note`` is called with a sentence for each corner.
     """
     for (side, corner), (edge, edge_index) in itertools.product(_CORNERS.items(), _EDGES.items()):
         lines = ((k, corner.fullmatch(page[edge_index])) for k, page in enumerate(pages) if page)

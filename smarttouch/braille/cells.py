@@ -19,7 +19,7 @@ POSITION = np.array([(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2), (0, 3), (1,
 
 
 def is_cell(character: str) -> bool:
-    """Return whether a character is a cell."""
+    """Return whether a character is a Braille cell (U+2800 to U+28FF)."""
     return 0 <= ord(character) - ord(BLANK) < PATTERNS
 
 

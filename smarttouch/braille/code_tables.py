@@ -19,14 +19,14 @@ _MARKS = r"[\u0300-\u036f\u064b-\u065f\u0670\u093c\u09bc\u0a3c\u0b3c\u0cbc\u3099
 _MARKED = re.compile(r"[^\W\d_]" + _MARKS)
 """A letter and its combining marks."""
 _TYPEFORM = re.compile("[⠨⠘⠸][⠂⠆⠶⠄]")
-"""Indicators of emphasis in Unified English Braille (Rules 9.1), which no table translates back."""
+"""Indicators of emphasis in Unified English Braille (UEB, Rules 9.1). No table decodes them."""
 _MOST_NAMED = 12  # largest number of characters listed in a note
 _TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")  # language tag, optionally with a country
 MISSING_NOTE = f"liblouis is not installed: only English grade 1 works; for others: {louis.INSTALL}"
 
 
 BrailleCode = Grade1 | LouisCode
-"""Code that translates single lines; `goes_back` is whether it also translates cells to text."""
+"""Code that translates single lines; `goes_back` states whether it also decodes cells to text."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class BrailleTable:
     def to_cells(self, text: str, leave_out: bool = False) -> str:
         """Translate a text to cells, line by line.
 
-        Characters without cells get a plain form. Those without a plain form are dropped with
-        ``leave_out``, else they raise BrailleError. See `losses`.
+        A character without cells is replaced by its plain form. If it has no plain form, it is
+        dropped with ``leave_out``; otherwise BrailleError is raised. See `losses`.
         """
         plain, forms = self._plain(text)
         if not leave_out and "" in forms.values():
@@ -54,9 +54,9 @@ class BrailleTable:
         return "\n".join(self.code.encode(line) for line in plain.split("\n"))
 
     def losses(self, text: str) -> str:
-        """Return a sentence about characters that get a plain form or are left out, or ""."""
+        """Return a sentence that names replaced and dropped characters, see `to_cells`, or ""."""
         signs = self._plain(text)[1].items()
-        # Scripts in plain form become technical notation.
+        # UEB has technical notation for superscripts and subscripts, so nothing is lost.
         quiet = "^_" if self._is_ueb else ""
         forms = {
             sign: form
@@ -76,9 +76,9 @@ class BrailleTable:
         return words.replace("\xad", "-") if kinds else ""
 
     def paragraphs(self, text: str, note: Callable[[str], None]) -> list[str]:
-        """Translate each line of a text to cells; cells stay unchanged.
+        """Translate each line of a text to cells. A text of cells is not translated.
 
-        ``note`` is told of `losses`.
+        ``note`` is called with the sentence of `losses`, if any.
         """
         if any(map(is_cell, text)) and all(is_cell(sign) or sign in " \t\n" for sign in text):
             cells = re.sub("[ \t]", BLANK, text)
@@ -93,8 +93,8 @@ class BrailleTable:
         return plain, {sign: forms[sign] for sign in dict.fromkeys(text) if sign in forms}
 
     def _lacks(self, sign: str) -> bool:
-        """Return whether a character has no cells, or only those of a plain digit or a blank, as
-        superscripts in some tables."""
+        """Return whether a character has no cells, or the cells of another character: some tables
+        translate superscripts to plain digits or blanks."""
         if sign == "\n":
             return False
         if self.code.missing(sign):
@@ -102,7 +102,6 @@ class BrailleTable:
         figure = unicodedata.normalize("NFKC", sign)
         if figure == sign or not figure.isdigit() or unicodedata.decomposition(sign)[:5] == "<wide":
             return False
-        # Some tables show superscripts as plain digits, others as blanks.
         unlike = [self.code.encode(text) for text in (f"1{figure}", "1")]
         return self.code.encode(f"1{sign}").rstrip(BLANK) in unlike
 
@@ -126,8 +125,8 @@ class BrailleTable:
         return self.name in ("en-1", "en-2")
 
     def doubt(self, cells: str, text: str) -> str | None:
-        """Return a sentence about words whose translation from cells is doubtful, because
-        translating them again gives other cells; or None."""
+        """Return a sentence about words that may be decoded wrongly, because encoding ``text``
+        gives other cells than ``cells``; None if the cells are equal."""
         plain, again = (
             re.split(f"[{BLANK}\n]+", cells_form)
             for cells_form in (self._without_typeforms(cells), self.to_cells(text, leave_out=True))
@@ -137,8 +136,8 @@ class BrailleTable:
             return None
         example = "".join(re.split(r"\s+", text)[wrong[0] : wrong[0] + 1])
         return (
-            f"{len(wrong)} of {len(plain)} words may be wrong, the first {example!r}: table "
-            f"{self.name} makes other cells of them than these"
+            f"{len(wrong)} of {len(plain)} words may be wrong, the first is {example!r}: table "
+            f"{self.name} translates these words to other cells"
         )
 
 
@@ -147,7 +146,7 @@ class _EnglishLouis(LouisCode):
     notation."""
 
     def missing(self, line: str) -> str:
-        """Return the characters of a line that are not defined, and its superscripts, each once."""
+        """Return the undefined characters and the superscripts of a line, each once."""
         return "".join(
             sign for sign in dict.fromkeys(line) if sign in "¹²³" or LouisCode.missing(self, sign)
         )
@@ -161,13 +160,13 @@ class _EnglishLouis(LouisCode):
 
 
 class _UncontractedLouis(_EnglishLouis):
-    """English code: encoding by liblouis, which has more characters, decoding by the built-in code.
+    """Uncontracted English code: liblouis encodes, as it has more characters, `Grade1` decodes.
 
-    In a test with 1000 sentences liblouis lost capitals in 77, the built-in code in none.
+    In a test with 1000 sentences, liblouis lost capitals in 77 sentences, `Grade1` in none.
     """
 
     def decode(self, cells: str) -> str:
-        """Translate cells to text; words with cells unknown to the built-in code are decoded by
+        """Translate cells to text by `Grade1`; a word with cells unknown to it is decoded by
         liblouis."""
         text = Grade1().decode(cells)
         if not any(map(is_cell, text)):
@@ -184,8 +183,8 @@ class _Known(NamedTuple):
     goes_back: bool
 
 
-# Back-translation was measured with 1000 sentences for each table. de-2 and en-gb-2 restore at most
-# one in thirty; de-0 and de-1 all except brackets, and numbers after a colon.
+# Decoding was measured with 1000 sentences for each table. de-2 and en-gb-2 restore at most one
+# sentence in thirty; de-0 and de-1 restore all except brackets, and numbers after a colon.
 _KNOWN = {
     "en-1": _Known("English (UEB), uncontracted", "en-ueb-g1.ctb", True),
     "en-2": _Known("English (UEB), contracted", "en-ueb-g2.ctb", True),
@@ -207,7 +206,7 @@ def known_tables() -> dict[str, str]:
 def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
     """Open a table by short name, by file name of a liblouis table, or by language tag.
 
-    A tag such as ``fr`` or ``pt-BR`` selects the plainest table of the language.
+    A tag such as ``fr`` or ``pt-BR`` selects the table of the language with fewest contractions.
     """
     if _TAG.fullmatch(name):
         language = name.lower().partition("-")[0]
@@ -234,8 +233,8 @@ def _tidy(text: str, code: BrailleCode) -> str:
     """Return a text with plain spaces and composed letters, without invisible characters except
     joiners.
 
-    Combining marks are composed if there is a composed character, and otherwise keep their order:
-    Unicode's normal forms would reorder Arabic marks and decompose Punjabi letters.
+    Only letters with a composed form are composed, because Unicode's normalization of the whole
+    text would reorder Arabic marks and decompose Punjabi letters.
     """
     plain = re.sub(r"[^\S\n]", " ", text.replace("\r\n", "\n"))
     visible = "".join(

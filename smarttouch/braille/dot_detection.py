@@ -5,15 +5,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 _SIDES_PX = (350, 700, 1400)
-"""Longer sides to which a picture is scaled in turn, because dots may be small or large."""
+"""Lengths to which the longer side of a picture is scaled in turn, to find dots of any size."""
 _FEWEST_DOTS = 20
 
 
 def shows_dots(grey: NDArray[np.uint8]) -> bool:
     """Return whether a picture, (H, W), shows a page of Braille, embossed or printed.
 
-    The sheet may be rotated. Print, halftones and dotted paper give False, but so do strongly
-    blurred dots and labels of a few cells.
+    The sheet can be rotated. The result is False for print, halftones and dotted paper, but also
+    for strongly blurred dots and for labels of a few cells.
     """
     longest, shortest = max(grey.shape), min(grey.shape)
     for side_px in _SIDES_PX:
@@ -27,7 +27,7 @@ def shows_dots(grey: NDArray[np.uint8]) -> bool:
 
 
 def _dots(picture: cv2.typing.MatLike) -> NDArray[np.float64]:
-    """Return the centers, (N, 2), of dark spots if most are round and have one size."""
+    """Return the centers, (N, 2), of dark spots; none unless most are round and of one size."""
     soft = cv2.GaussianBlur(picture, (0, 0), 1).astype(np.float32)
     depth = cv2.blur(soft, (31, 31)) - soft
     dark = (depth > max(4, depth.std())).astype(np.uint8)
@@ -45,7 +45,7 @@ def _dots(picture: cv2.typing.MatLike) -> NDArray[np.float64]:
 
 
 def _has_cells(dots: NDArray[np.float64]) -> bool:
-    """Return whether dots form cells: most have a neighbor, but none has two in its row."""
+    """Return whether dots form cells: most have a neighbor, but few have two in their row."""
     if not len(dots):
         return False
     points = dots.astype(np.float32)

@@ -17,7 +17,7 @@ _ACCENTS = {
     "\u0300": "⠘⠡", "\u0301": "⠘⠌", "\u0302": "⠘⠩", "\u0303": "⠘⠻", "\u0308": "⠘⠒",
     "\u030a": "⠘⠫", "\u030c": "⠘⠬", "\u0327": "⠘⠯",
 }  # fmt: skip
-"""Cells of accents by combining mark; they precede the letter."""
+"""Cells of accents by combining mark; the cells precede those of the letter."""
 _SIGNS = {
     " ": BLANK, ".": "⠲", ",": "⠂", ";": "⠆", ":": "⠒", "!": "⠖", "'": "⠄", "-": "⠤",
     "–": "⠠⠤", "—": "⠠⠤", "‘": "⠠⠦", "’": "⠠⠴", "«": "⠸⠦", "»": "⠸⠴",
@@ -43,7 +43,7 @@ _CAPITAL, _CAPITAL_WORD, _CAPITAL_PASSAGE, _CAPITALS_END = "⠠", "⠠⠠", "⠠
 _NUMBER, _GRADE_1, _NUMBER_SPACE = "⠼", "⠰", "⠐"
 _ONE_QUOTE_OR_QUESTION, _CLOSING_QUOTE, _ANY_QUOTE, _SURE_QUOTE = "⠦", "⠴", "⠠⠶", "⠘⠦"
 _OPENING = frozenset(" ([{<—-/‘«")
-"""Characters after which the cell of a question mark is an opening quote, as at the start (7.5)."""
+"""Characters after which, as at the start, ⠦ is an opening quote, not a question mark (7.5)."""
 
 _LETTER_OF = {cell: letter for letter, cell in _LETTERS.items()}
 _DIGIT_OF = {cell: digit for digit, cell in _DIGITS.items()}
@@ -54,17 +54,16 @@ _SIGN_OF = {cells: sign for sign, cells in _SIGNS.items()} | {
 
 
 class Grade1:
-    """Code for letters, accents, numbers, capitals and punctuation, which decodes its own cells
-    exactly.
+    """Code for letters, accents, numbers, capitals and punctuation.
 
-    Typographic variants are decoded as the plain form: straight double quotes, apostrophes, and one
-    kind of dash.
+    Decoding reverses encoding, except that typographic variants become plain: double quotes are
+    straight, and there is one kind of apostrophe and of dash.
     """
 
     goes_back = True
 
     def missing(self, line: str) -> str:
-        """Return the characters of a line without cells, each once."""
+        """Return the characters of a line that have no cells, each once."""
         return "".join(sign for sign in dict.fromkeys(line) if not _is_known(sign))
 
     def encode(self, line: str) -> str:
@@ -158,13 +157,13 @@ Translator = Callable[[str], str]
 
 
 def encode_scripts(line: str, encode: Translator, encode_item: Translator) -> str:
-    """Translate a line by ``encode``, and its superscripts and subscripts as technical notation,
-    with their contents by ``encode_item``."""
+    """Translate a line by ``encode``. Superscripts and subscripts become technical notation, whose
+    contents ``encode_item`` translates."""
     cells, end = "", 0
     for script in _SCRIPT.finditer(line):
         before, after = line[script.start() - 1], line[script.end() :][:1]
         item = encode_item(script[2].strip("()")).replace("⠐⠤", "⠤").replace("⠤", _MINUS)
-        # A digit, or a letter with the same cell, would belong to a number.
+        # Without brackets, a following digit, or letter with a digit's cell, would join the item.
         if script[2][0] in "(-−" or (after and after in "0123456789abcdefghij"):
             item = f"⠣{item}⠜"
         cells += encode(line[end : script.start()]) + _GRADE_1 * (not before.isdigit())
@@ -174,22 +173,22 @@ def encode_scripts(line: str, encode: Translator, encode_item: Translator) -> st
 
 
 def decode_scripts(cells: str, decode: Translator) -> str:
-    """Translate cells by ``decode``, and superscripts and subscripts in technical notation.
+    """Translate cells by ``decode``, and technical notation to superscripts and subscripts.
 
-    Contractions use the same cells as scripts, so a script must follow a number or indicator.
+    Contractions use the same cells, so the notation must follow a number or a grade 1 indicator.
     """
     text, end = "", 0
     for match in _SCRIPT_CELLS.finditer(cells):
         is_sure = match[0][0] == _GRADE_1 or _NUMBER_AT_END.search(cells, 0, match.start())
         if is_sure and (script := _script(match)):
-            # A letter alone would be a contraction.
+            # ``decode`` would take a single letter for a contraction.
             text += decode(_LETTER_AT_END.sub(r"⠰\1", cells[end : match.start()])) + script
             end = match.end()
     return text + decode(cells[end:])
 
 
 def _script(match: re.Match[str]) -> str:
-    """Return the superscript or subscript of cells; empty if they are not one."""
+    """Return the superscript or subscript in matched cells; empty if the match is neither."""
     level, number, group, letter = match.groups()
     mark = next(mark for mark, cell in _LEVELS.items() if cell == level)
     inner = Grade1().decode((number or group or letter).replace(_MINUS, _SIGNS["-"]))
@@ -225,7 +224,7 @@ def _letter(character: str) -> str:
 
 
 def _capitals(text: str) -> tuple[dict[int, str], dict[int, str]]:
-    """Return the indicators of capitals before and after characters, by index."""
+    """Return the capital indicators that precede characters and those that follow, by index."""
     before, after = {}, {}
     capital = [_is_letter(character) and character.isupper() for character in text]
     for is_capital, run in itertools.groupby(range(len(text)), capital.__getitem__):
@@ -254,7 +253,7 @@ def _punctuation(character: str, opening: bool, following: str) -> str:
 
 
 def _in_number(cell: str, pair: str) -> str:
-    """Return the text of a cell in numeric mode; empty if it ends the mode."""
+    """Return the text of a cell in numeric mode; empty if the cell ends the mode."""
     if cell == _NUMBER_SPACE and pair[1:] in _DIGIT_OF:
         return " "
     return {"⠂": ",", "⠲": "."}.get(cell) or _DIGIT_OF.get(cell, "")
@@ -273,7 +272,7 @@ def _letter_at(cells: str, index: int) -> tuple[str, int] | None:
 
 
 def _sign_at(cells: str, index: int, opening: bool) -> tuple[str, int, bool]:
-    """Return the character at an index, its number of cells, and whether a quote may open after
+    """Return the character at an index, its number of cells, and whether a quotation can open after
     it."""
     cell, pair = cells[index], cells[index : index + 2]
     if pair == _GRADE_1 + _ONE_QUOTE_OR_QUESTION:

@@ -17,28 +17,28 @@ JOINERS = "\u200c\u200d"
 """Invisible joiners, which have cells in some codes."""
 _LIBRARIES = ("liblouis.so.20", "liblouis.so", "liblouis.20.dylib", "liblouis.dylib")
 
-_DOTS = 0x8000  # offset of cells in back-translation, in all versions (LOU_DOTS)
+_DOTS = 0x8000  # code of the blank cell in back-translation, in all versions (LOU_DOTS)
 _DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128  # values of ``translationModes`` in liblouis.h
 _LOG_OFF = 60000
 _LONGEST_NAME = 200
-"""Longest name of a table: file names have at most 255 bytes, and old versions do not check."""
-_ROOMS = (8, 64)  # output characters per input character: first attempt, second attempt
+"""Longest name of a table, bytes. File names have up to 255; old versions do not check lengths."""
+_CAPACITIES = (8, 64)  # output characters per input character: first attempt, second attempt
 _UNDEFINED = "\uf8ff"
-"""Private-use character that no table defines, to obtain the output for undefined ones."""
+"""Private-use character that no table defines: its output is that of all undefined characters."""
 _ESCAPE = re.compile(r"\\([0-9A-F]*)/")  # output for an undefined cell: its dots
 
 _TAG_OF = {"zh": "cmn-Hans", "cmn": "cmn-Hans", "nb": "no", "nn": "no"}
 """Language tags of liblouis that differ from common ones."""
 _PLAIN_KINDS = (" contraction:no dots:6", " contraction:no", " grade:1")
 _PLAIN_ENDS = ("-g0.utb", "-g0.ctb", "-g1.utb", "-g1.ctb", ".utb", ".ctb", ".tbl")
-_ASKED_BACK = {"he": "אבג"}
-"""Test letters of languages whose tables also have Latin letters; the default is abc."""
+_TEST_LETTERS = {"he": "אבג"}
+"""Letters that test decoding, for languages whose tables also decode abc; for others it is abc."""
 
 _lock = threading.Lock()  # liblouis has global state
 
 
 class LouisCode:
-    """Braille code by a table of liblouis, given by file name, such as ``en-ueb-g2.ctb``."""
+    """Braille code of a liblouis table, given by file name, such as ``en-ueb-g2.ctb``."""
 
     def __init__(self, table: str, goes_back: bool | None = None) -> None:
         if not has_table(table):
@@ -47,7 +47,7 @@ class LouisCode:
         self.goes_back: bool = _goes_both_ways(table) if goes_back is None else goes_back
 
     def missing(self, line: str) -> str:
-        """Return the characters of a line that are not defined, each once."""
+        """Return the characters of a line that the table does not define, each once."""
         return "".join(
             character for character in dict.fromkeys(line) if not _defines(self._table, character)
         )
@@ -98,8 +98,8 @@ def has_table(table: str) -> bool:
 
 
 def find_table(language: str) -> str | None:
-    """Return the file name of the plainest table for a language tag, such as ``pt`` or ``pt-BR``.
-    Fallbacks are the language without country, and a table named like it."""
+    """Return the file name of the table with fewest contractions for a language tag, such as ``pt``
+    or ``pt-BR``; else of one for the language without country, or with the language in its name."""
     tag = _TAG_OF.get(language) or _TAG_OF.get(language.partition("-")[0]) or language
     main_language = tag.partition("-")[0].lower()
 
@@ -128,7 +128,7 @@ def language_of(table: str) -> str:
 
 
 def _query(function: str, *arguments: bytes) -> str:
-    """Return the text from a function of liblouis; empty if none, or without liblouis."""
+    """Return the text that a function of liblouis returns; empty without a text or liblouis."""
     library = _library()
     if library is None:
         return ""
@@ -146,19 +146,19 @@ def _library() -> ctypes.CDLL | None:
             library = ctypes.CDLL(name)
         except OSError:
             continue
-        # Errors are raised, not written to stderr.
+        # This module raises errors, so liblouis need not write them to stderr.
         library.lou_setLogLevel(_LOG_OFF)
         return library
     return None
 
 
 def _goes_both_ways(table: str) -> bool:
-    """Return whether a table states, or shows in a test, that it also translates back."""
+    """Return whether a table also decodes cells, by its own statement or by a test."""
     if _query("lou_getTableInfo", table.encode(), b"direction") != "forward":
         return True
-    code, asked = LouisCode(table, goes_back=True), _ASKED_BACK.get(language_of(table), "abc")
+    code, letters = LouisCode(table, goes_back=True), _TEST_LETTERS.get(language_of(table), "abc")
     try:
-        return code.decode(code.encode(asked)) == asked
+        return code.decode(code.encode(letters)) == letters
     except BrailleError:
         return False
 
@@ -177,11 +177,11 @@ def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
     encoded = text.encode(encoding, "surrogatepass")
     width = 4 if encoding == "utf-32-le" else 2
     length = len(encoded) // width
-    for room_size in _ROOMS:
-        room = room_size * length + 64
+    for ratio in _CAPACITIES:
+        capacity = ratio * length + 64
         inbuf = ctypes.create_string_buffer(encoded, len(encoded) + width)
-        outbuf = ctypes.create_string_buffer(room * width)
-        read, written = ctypes.c_int(length), ctypes.c_int(room)
+        outbuf = ctypes.create_string_buffer(capacity * width)
+        read, written = ctypes.c_int(length), ctypes.c_int(capacity)
         with _lock:
             done = translate(
                 table.encode(), inbuf, ctypes.byref(read), outbuf, ctypes.byref(written),
@@ -189,13 +189,13 @@ def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
             )  # fmt: skip
         if not done:
             break
-        # A full buffer means that output was cut, even if all input was consumed.
-        if read.value == length and written.value <= room // 2:
+        # liblouis can cut the output although it consumed all input, so retry if the buffer filled.
+        if read.value == length and written.value <= capacity // 2:
             return outbuf.raw[: written.value * width].decode(encoding, "replace")
     way = "cells to text" if back else "text to cells"
     raise BrailleError(f"liblouis could not translate {way} with {table}: choose another table")
 
 
 def _cell(dots: str) -> str:
-    """Return the cell with these dots, as in 1256; empty if they are invalid."""
+    """Return the cell with the given dots, as in 1256; blank if no dot is valid."""
     return chr(ord(BLANK) | sum(1 << int(dot) - 1 for dot in dots if dot in "12345678"))

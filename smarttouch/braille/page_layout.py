@@ -1,4 +1,4 @@
-"""Layout of paragraphs of cells as pages of lines, and back."""
+"""Layout of paragraphs of cells as pages of lines, and joining of lines to paragraphs."""
 
 import re
 from collections.abc import Sequence
@@ -9,9 +9,9 @@ from smarttouch.braille.cells import BLANK, Pages
 COLUMNS = 40
 ROWS = 25  # lines of a North American Braille page
 INDENT = 2
-"""Indent in cells: as usual in Braille, a paragraph begins in cell 3."""
+"""Number of blank cells before a paragraph: in Braille, a paragraph usually begins in cell 3."""
 CONTINUED = "⠐"
-"""UEB's line continuation indicator, at the end of a line whose last word continues."""
+"""UEB's line continuation indicator, at the end of a line that divides a word."""
 
 
 def lay_out(
@@ -19,8 +19,8 @@ def lay_out(
 ) -> Pages:
     """Lay out paragraphs of cells as pages of lines; an empty paragraph is an empty line.
 
-    Blank cells around a paragraph are replaced by ``indent`` cells before it; without an indent,
-    `join` cannot separate paragraphs.
+    Blank cells around a paragraph are replaced by ``indent`` blank cells before it. Without an
+    indent, `join` cannot separate paragraphs.
     """
     if columns < indent + 2 or rows < 1:
         raise BrailleError(

@@ -9,8 +9,8 @@ QUIET = {
     **dict.fromkeys("“”„‟«»", '"'), **dict.fromkeys("‘’‚‛‹›", "'"), **dict.fromkeys("‐‑–—―", "-"),
     "…": "...", "-": "\u00ad",
 }  # fmt: skip
-"""Forms that differ only by typeface and are not reported. The soft hyphen is here because
-liblouis' Italian table shows it as a hyphen."""
+"""Plain forms that differ only by typeface, so their use is not reported. The hyphen is among them
+because liblouis' Italian table has no cell for it, but shows a soft hyphen as a hyphen."""
 _FORMS = QUIET | {
     "−": "-", "⁄": "/", "∕": "/", "×": "x", "÷": "/", "·": ".", "⋅": ".", "≤": "<=", "≥": ">=",
     "≠": "/=", "≈": "~", "±": "+-", "→": "->", "←": "<-", "↔": "<->", "⇒": "=>", "′": "'",
@@ -20,14 +20,14 @@ _FORMS = QUIET | {
     "}": ")", "`": "'", "°": " degrees ", "§": "section ", "©": "(c)", "®": "(R)", "№": "No.",
     "¡": "", "¿": "", **dict.fromkeys("•◦▪‣●○■□▸►❖➢⁃\uf0b7\uf0a7\uf0d8\uf0fc\uf076", "*"),
 }  # fmt: skip
-"""Forms that Unicode does not define, including bullets of symbol fonts."""
+"""Plain forms that Unicode does not define, also of bullets in symbol fonts."""
 _LATIN = re.compile(r"LATIN (SMALL|CAPITAL) (?:LETTER|LIGATURE) ([A-Z]{1,2})(?: WITH .*)?")
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (?:.* )?([A-Z]+?)(?: SYMBOL)?(?: WITH .*)?")
 
 
 def plain_forms(text: str, lacks: Callable[[str], bool]) -> tuple[str, dict[str, str]]:
     """Replace characters that a code lacks by plain forms; return the text, and the form of each
-    ("" if it has none).
+    replaced character ("" if it has none).
 
     A superscript becomes ``^6``, a subscript ``_2``, a fraction after a number ``1 1/2``, so that
     no number changes its value.
@@ -52,21 +52,21 @@ def plain_forms(text: str, lacks: Callable[[str], bool]) -> tuple[str, dict[str,
                 number = parts and parts[-1][-1:].isdigit() and "/" in forms[sign]
                 parts.append(f" {forms[sign]}" if number else forms[sign])
     for k in range(1, len(parts)):
-        # Without brackets a following digit would belong to the exponent.
+        # Without brackets, a following digit would become part of the superscript or subscript.
         if parts[k][:1].isdigit() and len(parts[k - 1]) > 1 and parts[k - 1][0] in "^_":
             parts[k - 1] = f"{parts[k - 1][0]}({parts[k - 1][1:]})"
     return "".join(parts), forms
 
 
 def _script(sign: str) -> str:
-    """Return ``^`` for a superscript, ``_`` for a subscript, else ""."""
+    """Return ``^`` for a superscript, ``_`` for a subscript, and "" for any other character."""
     kind, _, form = unicodedata.decomposition(sign).partition(" ")
     raised = kind == "<super>" and sign not in "ªº" and " " not in form
     return "^" if raised else "_" if kind == "<sub>" else ""
 
 
 def _form(sign: str, lacks: Callable[[str], bool], within: str = "") -> str | None:
-    """Return the first form of a character that the code has, or else a form made of its parts."""
+    """Return the first plain form whose characters the code has, some as plain forms; or None."""
     within += sign
     for form in _candidates(sign):
         if set(form).isdisjoint(within):
