@@ -53,7 +53,7 @@ def ascii_braille(line: str) -> str:
 
 def format_brf(pages: Pages) -> bytes:
     """Convert pages to BRF. Raises BrailleError if a cell has dots 7 or 8."""
-    # A form feed before an empty line would read as one on its own line, so write a blank there.
+    # A form feed before an empty line would look like one on its own line, so add a blank.
     sheets = ("".join(f"{ascii_braille(line)}\r\n" for line in page) for page in pages)
     return "\f".join(re.sub(r"^\r", " \r", sheet) for sheet in sheets).encode("ascii")
 

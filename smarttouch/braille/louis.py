@@ -32,7 +32,7 @@ _TAG_OF = {"zh": "cmn-Hans", "cmn": "cmn-Hans", "nb": "no", "nn": "no"}
 _PLAIN_KINDS = (" contraction:no dots:6", " contraction:no", " grade:1")
 _PLAIN_ENDS = ("-g0.utb", "-g0.ctb", "-g1.utb", "-g1.ctb", ".utb", ".ctb", ".tbl")
 _TEST_LETTERS = {"he": "אבג"}
-"""Letters that test decoding, for languages whose tables also decode abc; for others it is abc."""
+"""Letters that test decoding, for languages whose tables also decode abc; abc tests all others."""
 
 _lock = threading.Lock()  # liblouis has global state
 
@@ -98,8 +98,8 @@ def has_table(table: str) -> bool:
 
 
 def find_table(language: str) -> str | None:
-    """Return the file name of the table with fewest contractions for a language tag, such as ``pt``
-    or ``pt-BR``; else of one for the language without country, or with the language in its name."""
+    """Return the file name of the table with fewest contractions for a tag, ``pt`` or ``pt-BR``.
+    Fallbacks: tables of the language without country, and tables named after the language."""
     tag = _TAG_OF.get(language) or _TAG_OF.get(language.partition("-")[0]) or language
     main_language = tag.partition("-")[0].lower()
 

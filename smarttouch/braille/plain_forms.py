@@ -66,7 +66,7 @@ def _script(sign: str) -> str:
 
 
 def _form(sign: str, lacks: Callable[[str], bool], within: str = "") -> str | None:
-    """Return the first plain form whose characters the code has, some as plain forms; or None."""
+    """Return the first plain form that the code can encode, if need be by plain forms; or None."""
     within += sign
     for form in _candidates(sign):
         if set(form).isdisjoint(within):

@@ -38,7 +38,7 @@ def disc(profile: Profile) -> NDArray[np.intp]:
 def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the electrodes, (S',), whose pulses a person perceives at ``sites``.
 
-    A pulse is perceived away from its electrode, by the profile's shift of the class (paper,
+    The perceived place differs from the electrode by the profile's shift of the class (paper,
     Section III-B.4). A site is omitted if its electrode would be outside of the array.
     """
     places = perceived_at(profile, afferent)
@@ -49,7 +49,7 @@ def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) ->
 
 
 def parse_places(profile: Profile, sites: str | None) -> NDArray[np.intp]:
-    """Parse a list of electrodes such as 27,28,35-36, or the word all. None selects `disc`."""
+    """Parse electrodes such as 27,28,35-36, or the word all. None selects those of `disc`."""
     if sites is None:
         return disc(profile)
     if sites == "all":
@@ -113,7 +113,7 @@ VIBRATION_US = 20_000  # interval between updates of a vibrator's amplitude (our
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """Train of stimuli of several classes."""
+    """Train of stimuli for several afferent classes."""
 
     time_us: Times  # (R,) int64, µs: time of each stimulus, ascending
     drive: NDArray[np.float32]  # (R, 3) float32, in [0, 1]: drive of each class; 0 means no pulse
@@ -122,7 +122,7 @@ class Mixture:
     end_us: int  # end of the last stimulus
     least_us: int  # shortest period of a sequence with pulses of all classes
     ideal_us: dict[Afferent, Times]  # (K,) int64, µs: ideal time of each pulse of a class
-    carried: dict[Afferent, NDArray[np.intp]]  # (K,): stimulus that contains each pulse of a class
+    carried: dict[Afferent, NDArray[np.intp]]  # (K,): index of the stimulus that has each pulse
     left_out: tuple[Afferent, ...]  # classes that respond, but that the board cannot stimulate
     vibrated: bool  # whether the PC drive is the amplitude of a vibrator, held between stimuli
     answers: Mapping[Afferent, ReceptorResponse]  # response of each class to the trace
@@ -300,13 +300,15 @@ def notes(mixture: Mixture) -> list[str]:
     sentences = []
     if mixture.left_out:
         names = _names(mixture.left_out)
-        sentences.append(f"{names} would respond, but this board cannot stimulate {names} here")
+        sentences.append(
+            f"this board cannot stimulate {names} at these sites, although {names} would respond"
+        )
     for afferent, ideal_us in mixture.ideal_us.items():
         spikes = len(mixture.answers[afferent].spike_s)
         if afferent is not Afferent.PC and len(ideal_us) < 0.9 * spikes:
             sentences.append(
                 f"{afferent.name} gets {len(ideal_us)} of {spikes} pulses: a sequence for "
-                f"{len(mixture.sites)} sites takes {mixture.least_us / 1000:.1f} ms: choose fewer "
+                f"{len(mixture.sites)} sites takes {mixture.least_us / 1000:.1f} ms; choose fewer "
                 "sites"
             )
     return sentences

@@ -76,7 +76,7 @@ along both axes (1.4 counts from the middle), so jitter does not move the filter
 STICKS = 4.5
 """Distance, in mouse counts, that a resting hand must move before the filter follows: the lag plus
 the jitter from end to end."""
-_ROUNDING = 1 + 1e-6  # tolerance for rounding errors if the hand has moved exactly this distance
+_ROUNDING = 1 + 1e-6  # tolerance for rounding errors in comparisons of distances
 
 
 class Deadband:
@@ -129,7 +129,7 @@ class TexturePicture(DeliveredDrawing):
     def under(self) -> Under:
         """Return the part of the texture that the array passed over."""
         if not np.isfinite(self._least).all():
-            raise SmartTouchError("the run sent no step, so there is nothing to draw: run longer")
+            raise SmartTouchError("nothing to draw, because no step was sent: let it run longer")
         half = np.abs(self._position_mm).max(axis=0) + np.array(self._cell_mm)
         corner, end = self._least - half, self._most + half
         left, top = corner.tolist()

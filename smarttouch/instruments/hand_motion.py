@@ -34,8 +34,8 @@ _NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
 class HandMotion(Device, ABC):
     """Base class of sources of a hand's displacement.
 
-    The motion starts at `origin_mm` from the texture's top left corner, which is known after the
-    first read; None means the middle. If `knows_force`, `force_n` is the force at the last read.
+    `origin_mm`, valid from the first read on, is the start of the motion from the texture's top
+    left corner; None means its middle. If `knows_force`, `force_n` is the force at the last read.
     """
 
     duration_s: float | None = None  # duration of the motion; None if endless

@@ -46,7 +46,7 @@ class Heights(NamedTuple):
 
 
 def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = None) -> Heights:
-    """Load an image as a height map; dark is high. If the file states no scale, give one."""
+    """Load an image as a height map; dark is high. A file without scale needs dpi or width_mm."""
     with Document(path, dpi=dpi, page_width_mm=width_mm) as document:
         page = document.page(0)
     if document.notes:
@@ -89,8 +89,8 @@ _FINEST_MM, _COARSEST_MM = 0.02, 0.1
 _MOST_PIXELS = 16_000_000
 _LONGEST_SIDE = 32_000  # longest side of a map, px: OpenCV samples with 16-bit coordinates
 _LOWEST, _HIGHEST = 0.25, 0.75
-"""A place below the first height is always low, and a place above the second is always raised.
-Between them, the threshold is the mean height of the surroundings."""
+"""A place below `_LOWEST` is never raised, and a place above `_HIGHEST` is always raised. Between
+these heights, the threshold is the mean height of the surroundings."""
 _AROUND = 2.5  # side of each of two box filters, in grains; together, sigma is one grain
 _BLUR_MM = 0.2  # sigma of the blur that removes noise of photographs; lines of 0.1 mm remain
 
@@ -99,7 +99,7 @@ class Relief(Texture):
     """Texture with a height map, and the depth of each place within a raised area.
 
     `height` is (H, W) in [0, 1]. `depth`, (H, W) mm, is the distance to the edge of the raised
-    area, at most half a grain. `pixel_mm` is the pixel size of both maps.
+    area, at most half of `grain_mm`. `pixel_mm` is the pixel size of both maps.
     """
 
     def __init__(
@@ -156,7 +156,8 @@ class Relief(Texture):
         """Return the depth of each place within a raised area, (H, W) mm."""
         half = self.grain_mm / 2
         margin = math.ceil(_AROUND * self.grain_mm / self.pixel_mm)
-        # Places outside of the map are low, but for the mean of the surroundings repeat the edge.
+        # Places outside of the map are low, but the mean of the surroundings includes copies of
+        # the edge there.
         wide = cv2.copyMakeBorder(self.height, *(margin,) * 4, cv2.BORDER_REPLICATE)
         # Two box filters approximate a Gaussian, in a time that does not depend on their width.
         side = 2 * round(_AROUND * self.grain_mm / self.pixel_mm / 2) + 1
@@ -172,14 +173,14 @@ class Relief(Texture):
         return np.asarray(depth[inside].copy(), np.float32)
 
 
-_STROKE = 0.15  # smallest depth, in grains, at which an electrode pulses after each grain
+_STROKE = 0.15  # smallest depth, in grains, at which an electrode pulses after a grain of motion
 _STEP = 1.25  # distance between samples along the path, in pixels of the map
 _MOST_SAMPLES = 64
 _FULL = 0.96
-"""Depth, relative to half a grain, that counts as the largest: rounding and blur lower depths."""
+"""Depth, relative to half a grain, that counts as full, because rounding and blur lower depths."""
 _LEAST_RISE = 0.5
-"""Smallest rise of depth to a crest, relative to the depth there. Smaller variations, as on a path
-along a crest, are not new crests."""
+"""Smallest rise of depth to a crest, relative to the crest's depth. Smaller variations, as on a
+path along a crest, are not new crests."""
 
 
 class ReliefFeeler:
@@ -197,15 +198,14 @@ class ReliefFeeler:
         self._least_mm = relief.pixel_mm / 2
         self._ground_mm = np.float32(_STROKE * relief.grain_mm)
         self._within_mm = relief.grain_mm / 2 - float(self._ground_mm)
-        """Motion from the place where depth reaches `_ground_mm` to the first pulse."""
+        """Distance from the place where depth reaches `_ground_mm` to the first pulse."""
         self._all = np.arange(len(position_mm))
         self._nothing = RidgeCrossing(np.zeros(len(position_mm), np.float32), 0)
         self._nothing.height.flags.writeable = False
         self.place(0.0, 0.0)
 
     def place(self, x_mm: float, y_mm: float) -> None:
-        """Set the place of the array's center. Electrodes on a raised area pulse after one grain of
-        motion."""
+        """Set the place of the array's center; on raised areas, electrodes pulse a grain later."""
         self._place = complex(x_mm, y_mm)
         x, y = self._on_map(np.array([self._place]))
         self._before = np.repeat(self._depth(x, y), 2, axis=0)
@@ -251,7 +251,7 @@ class ReliefFeeler:
             self._lowest = lowest[-1]
             return self._nothing
         self._lowest = np.where(pulsed, depth[-1], lowest[-1])
-        # Count the motion since the last pulse toward the next pulse.
+        # Count motion beyond the place where a pulse was due toward the next pulse.
         gone, grain_mm = places[-1] - self._pulsed, self._relief.grain_mm
         gone_mm = np.maximum(np.abs(gone), grain_mm)
         over = gone_mm - grain_mm < step_mm * (len(places) - 2)
@@ -283,8 +283,7 @@ class ReliefFeeler:
     def _inside(
         self, places: NDArray[np.complex128], depth: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
-        """Return which electrodes are on a raised area and a grain or more from their last
-        pulse."""
+        """Return which electrodes are on a raised area, a grain or more from their last pulse."""
         low = depth[1:] < self._ground_mm
         entered = places[len(low) - low[::-1].argmax(axis=0)]
         self._entered = np.where(low.any(axis=0), entered, self._entered)
@@ -324,7 +323,7 @@ _NUMBER = r"([0-9]*\.?[0-9]+)"
 def open_texture(
     spec: str,
     *,
-    # dpi or width_mm: scale of an image file that states none; width_mm also: width of a text
+    # scale of an image file that states none; width_mm is also the width of a text
     dpi: float | None = None,
     width_mm: float | None = None,
     # distance between two pulses on a wide raised area, default 2 mm

@@ -126,9 +126,9 @@ def _parse(text: str) -> tuple[str, list[float]]:
 
 
 SPAN_DB = 5.0
-"""Level of full drive above the threshold (our choice). A tone of 30 Hz at full RA drive just
-reaches PC's threshold, so full RA drive does not drive PC. From about this level on, an afferent
-fires in each cycle."""
+"""Vibration level, relative to the threshold, from which drive is full (our choice). A tone of
+30 Hz at full RA drive just reaches PC's threshold, so it does not drive PC. From about this level
+on, an afferent fires in each cycle."""
 SAI_FORCE_N = 0.0013
 """Median threshold force of human SAI afferents (Johansson, Vallbo and Westling, Brain Res. 184,
 1980)."""
@@ -139,7 +139,7 @@ SAI_FULL_UM = 1500.0
 SAI_RATE_HZ = 50.0
 """Default SAI rate at full drive, as in ``pulse.sai_rate_hz``; at the threshold, SAI fires at a
 fifth of this rate."""
-_PAD_S = 1.0  # padding from the end of a trace to its start, as the Fourier transform is cyclic
+_PAD_S = 1.0  # padding that joins a trace's end to its start for the cyclic Fourier transform
 _GAP_S = 0.05  # longest time below the threshold within one vibration, as between beats
 
 
@@ -195,7 +195,7 @@ def _vibration(trace: Trace, afferent: Afferent) -> ReceptorResponse:
 
 
 def pressed(trace: Trace, full_n: float, rate_hz: float) -> ReceptorResponse:
-    """Return the response of SAI. At the force ``full_n``, drive is 1 and the rate ``rate_hz``."""
+    """Return the response of SAI. At the force ``full_n``, drive is 1 and rate is ``rate_hz``."""
     drives = []
     rows = (
         (trace.force_n, SAI_FORCE_N, full_n),
@@ -214,7 +214,7 @@ def pressed(trace: Trace, full_n: float, rate_hz: float) -> ReceptorResponse:
 
 
 def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
-    """Return a signal with cyclic padding, its first index in it, and the Fourier frequencies."""
+    """Return a signal with cyclic padding, the index of its start, and the Fourier frequencies."""
     pad = round(_PAD_S * sample_hz)
     length = next_fast_len(len(row) + 2 * pad)
     joint = length - len(row)

@@ -122,7 +122,7 @@ class SocketSource(Program):
                 await self._put_newest(pattern)
             elif asked.request == "level":
                 if asked.level is None:
-                    raise SourceError("the request level needs the key level, from 0 to 1")
+                    raise SourceError("a level request needs the key level, from 0 to 1")
                 self.controls.set_level(asked.level)
             elif asked.request == "stop":
                 self.end()

@@ -66,9 +66,9 @@ class Optics(Table):
     rotation_deg: float = Field(default=0.0, ge=-180, le=180)
     """Clockwise angle by which the array appears rotated in a frame."""
     offset_x_mm: Number = 0.0
-    """Distance on the page from the frame's center to the array's center, to the right."""
+    """Distance of the array's center to the right of the frame's center, measured on the page."""
     offset_y_mm: Number = 0.0
-    """Distance on the page from the frame's center to the array's center, downward."""
+    """Distance of the array's center below the frame's center, measured on the page."""
     homography: tuple[Number, ...] | None = Field(default=None, min_length=9, max_length=9)
     """Homography of a tilted camera, row by row, which replaces field, rotation and offset. It maps
     millimeters on the page, from the center of the array, to pixels of a frame of

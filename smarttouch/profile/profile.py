@@ -204,7 +204,7 @@ class Profile(Table):
 
     @cached_property
     def admittance(self) -> NDArray[np.float64]:
-        """Admittance of each electrode, (E,) mS; the current of a single source divides by it."""
+        """Admittance of each electrode, (E,) mS. Single-source current divides in this ratio."""
         impedance = np.asarray(self.output.impedance_kohm, np.float64)
         return np.broadcast_to(1 / impedance, (len(self.electrodes),)).copy()
 
@@ -263,7 +263,7 @@ class Profile(Table):
 
         Notes
         -----
-        A list of values for each electrode becomes its smallest value, for impedances the largest.
+        Of values for each electrode, the smallest applies to all; of impedances, the largest.
         Masks, wiring, calibrations of the electrodes and defaults of commands are removed.
 
         Examples

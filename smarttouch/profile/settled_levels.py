@@ -43,9 +43,9 @@ def read_levels(profile: Profile) -> list[SettledLevel]:
 
 
 class SettledLevels:
-    """Comfortable levels: from earlier runs to offer, up to ``most``, and from this run to log.
+    """Comfortable levels of earlier runs, which a run offers up to ``most``, and of this run.
 
-    An offered level has the same strongest current as in the earlier run, in a changed profile too.
+    An offered level has the strongest current of the earlier run, even if the profile has changed.
     """
 
     def __init__(self, profile: Profile, most: float) -> None:

@@ -56,8 +56,8 @@ def load_profile(name: str | Path | Profile) -> Profile:
     skin, small = profile.skin, len(profile.electrodes) <= MOST_FINE
     if skin.medium != "plane" and skin.node_spacing_mm > COARSEST_MM and small:
         raise ProfileError(
-            f"{path}: skin.node_spacing_mm {skin.node_spacing_mm:g} is too coarse, because other "
-            f"classes get a third more between nodes: set it to 0.1 (at most {COARSEST_MM:g})",
+            f"{path}: skin.node_spacing_mm {skin.node_spacing_mm:g} is too coarse: activation of "
+            f"other classes rises by a third between nodes; set 0.1 (at most {COARSEST_MM:g})",
             key="skin.node_spacing_mm",
         )
     return profile
@@ -78,7 +78,7 @@ def profile_path(name: str | Path) -> Path:
 
 
 def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
-    """Return the profile of a file's table. Paths in the table start at the file's folder."""
+    """Return the profile of a TOML table. Its paths are relative to the folder of ``path``."""
     try:
         profile = Profile.model_validate({**table, "name": path.stem})
     except ProfileError as error:

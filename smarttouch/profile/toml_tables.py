@@ -89,7 +89,7 @@ def validated(kind: type[_Table], name: object, table: dict[str, Any]) -> _Table
 
 
 def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Error:
-    """Return an error that lists what is wrong in a file: up to 8 complaints and their number."""
+    """Return an error that lists up to 8 problems of a file, and the number of further problems."""
     details = [*_complaints(error)]
     sentences = [words for words, _ in details[:_MOST_IN_A_SENTENCE]]
     if len(details) > len(sentences):

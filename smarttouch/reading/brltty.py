@@ -57,7 +57,7 @@ class DisplayContent:
         return under[0] if len(under) == 1 else None
 
     def first_new(self, before: "DisplayContent") -> int | None:
-        """Return the index of the first cell to present; None if at most the cursor changed.
+        """Return the index of the first cell to present; None if at most the cursor moved.
 
         If the cursor is at the first changed cell or one cell after it, the user is typing, and the
         changed cell is presented first. Otherwise a new line is presented from its start.
@@ -102,7 +102,7 @@ class BrailleDisplaySource(StimulusSource):
     cells : int
         Number of cells of the display that is reported to BRLTTY.
     speed_mm_s : float, mm/s, optional
-        By default derived from the profile's pulse rate.
+        Speed of the cells; by default derived from the profile's pulse rate.
 
     Attributes
     ----------
@@ -231,7 +231,7 @@ class BrailleDisplaySource(StimulusSource):
         light = np.where(self._dots, 0, 255).astype(np.uint8)
         grey = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_NEAREST), np.uint8)
         top_mm = self._jumps * (rows * down + LINE_GAP_MM) - rows * down / 2
-        # Jumps and updates are only counted up, so their sum changes with each of them.
+        # Both counts only increase, so their sum changes with each jump and each update.
         number = self._jumps + self._taken.number
         return Sheet(number, Page(grey, across / _DOT_PX), (0.0, top_mm))
 

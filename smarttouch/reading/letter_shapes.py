@@ -38,8 +38,8 @@ _GRADED = Tone(0.0, 1.0, prepared=True)
 _DRAWN = Tone(0.35, 0.35, prepared=True)
 """Tone curve of single letters, whose strokes are one cell wide."""
 UNKNOWN_LEVEL = 0.7
-"""Intensity, relative to the comfort level, at which simulated fingers read lines best. Of the two
-anatomies, the one that reads worse counts, see `examples/studies/reading_pages.py`."""
+"""Intensity, relative to the comfort level, at which simulated fingers read lines with the fewest
+errors, by the worse of two anatomies (`examples/studies/reading_pages.py`)."""
 
 
 @dataclass(frozen=True)

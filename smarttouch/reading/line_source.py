@@ -264,7 +264,7 @@ class ReadingSource(OpticalSource):
     def _draw(self, line: TouchLine, x_mm: float, image: NDArray[np.uint8]) -> None:
         """Draw the image under the array, and the point that marks the start of the line.
 
-        Intensity rises only with delivered pulses. Those of the point raise it before the text.
+        Intensity rises only with delivered pulses. The point's pulses raise it before the text.
         """
         rows, columns = self._shape
         left = x_mm / self._pixel_mm - columns / 2

@@ -68,7 +68,7 @@ def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) ->
 
 def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]:
     """Return lines without running heads and page numbers, which ``note`` reports. These are lines
-    at the top or bottom that are equal, except for page numbers, at one height on several pages."""
+    at the top or bottom, at equal heights on several pages, that differ only in page numbers."""
     pages = [
         sorted(page, key=lambda line: line.y_mm)
         for _, page in itertools.groupby(lines, lambda line: line.page)
@@ -99,15 +99,15 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
             for label, numbers in heads.items()
         )
         note(
-            f"running heads and page numbers (#) are left out: {named}; ?keep_headers after the "
-            "file's name keeps them"
+            f"running heads and page numbers (#) are left out: {named}; to keep them, add "
+            "?keep_headers to the file's name"
         )
     return [line for line in lines if id(line) not in dropped]
 
 
 def _keys(line: PrintedLine) -> Iterator[str]:
-    """Yield keys that a line shares with lines of other pages if both are the same running head:
-    its text, and variants in which one number is replaced by its distance to the page number."""
+    """Yield keys that are equal for the same running head on other pages: the text, and the text
+    with one number replaced by the difference to the page number."""
     yield line.text
     for number in re.finditer(r"\d{1,5}", line.text):
         before, after = line.text[: number.start()], line.text[number.end() :]

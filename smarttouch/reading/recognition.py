@@ -43,7 +43,7 @@ _LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "
 """Tesseract's codes of languages written from right to left."""
 _FIRST, _LONGEST = 5, 3  # numbers of first and of longest lines recognized in each orientation
 _UPRIGHT, _FEWEST_LETTERS = 0.7, 30
-"""A page is upright if the mean confidence reaches the first value over this number of letters."""
+"""A page is upright if `_FEWEST_LETTERS` letters or more have a mean confidence of `_UPRIGHT`."""
 _MORE = 1.15  # ratio of recognized letters above which another orientation is chosen
 
 
@@ -280,6 +280,6 @@ def recognized_lines(
     sure = legible / max(1, letters)
     if sure < SURE:
         note(
-            f"the text was recognized with only {sure:.0%} confidence: is it handwriting, a "
-            f"picture, or in another language than {options.languages} (set languages)?"
+            f"the text was recognized with only {sure:.0%} confidence: unless it is handwriting or "
+            f"a picture, set its language by ?languages= (now {options.languages})"
         )
