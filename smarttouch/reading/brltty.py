@@ -251,7 +251,7 @@ class BrailleDisplaySource(StimulusSource):
         if self._place != (self._taken.number, step):
             self._place = (self._taken.number, step)
             self.frames += 1
-        self.title: str = f"{self._name}: {self._taken.text if shown else 'not connected yet'}"
+        self.title: str = f"{self._name}: {self._taken.text if shown else 'not connected'}"
         # Columns of the text under the array; columns outside of the text are blank.
         left = step - layout.margin
         window = np.zeros((layout.rows, layout.columns), np.bool_)

@@ -250,7 +250,7 @@ class ReadingSource(OpticalSource):
             self._go_to(self.index + 1)
 
     def _announce(self, line: TouchLine, time_ns: int) -> None:
-        """Show a line in the title; emit a note if a key repeated it."""
+        """Show a line in the title; emit a note if a key repeated the line."""
         if self._under is None or self._under[0] != self.index:
             self._under = (self.index, line)
             self._texts[self.index] = line.text
