@@ -1,4 +1,4 @@
-"""Programs that use the package by themselves are stopped as commands are, and drive no more."""
+"""Users' programs are stopped like commands, and drive no board afterwards."""
 
 import random
 import signal
@@ -22,7 +22,10 @@ REFUSED = dict.fromkeys(("again", "another", "another run"), "BoardStoppedError"
 
 @pytest.fixture
 def start(start_emulator, tmp_path):
-    """Return a starter of programs, each with a board of its own: the process and its books."""
+    """Return a function that starts a program with an emulated board of its own.
+
+    It returns the process and the folder of the board's delivery log.
+    """
     with starter() as start:
 
         def start_one(kind, url=None):
@@ -34,14 +37,14 @@ def start(start_emulator, tmp_path):
 
 
 def told(process):
-    """Return what the program says of its attempts, once it has ended."""
+    """Wait for the end of a program; return the results of its attempts, and its output."""
     out, errors = process.communicate(timeout=PATIENCE_S)
     assert errors == ""
     return dict(line.rsplit(" ", 1) for line in out.splitlines() if "ended by" not in line), out
 
 
 def is_whole(path):
-    """Return whether a recording was closed, and holds steps to its end."""
+    """Return whether a recording has steps and was closed."""
     recording = RecordedRun(path)
     return any(True for _ in recording.steps()) and recording.whole
 
@@ -60,7 +63,7 @@ def test_smarttouch_stop_ends_what_a_program_drives(start, start_program, tmp_pa
     stop = start_program("stop")
     assert f"process {process.pid} has confirmed zero" in stop.communicate(timeout=PATIENCE_S)[0]
     assert stop.returncode == 0
-    # Books are written now and then; a board that had to find out by itself tells of silence.
+    # The board writes its log a few times a second. Without a stop, its reason would be silence.
     until(lambda: read_state(books)["reason"] == "stop")
     after = read_state(books)
     assert after["state"] == "shorted"
@@ -82,7 +85,8 @@ def test_a_signal_ends_a_program_at_zero_with_its_recording(start, tmp_path, kin
     until(lambda: read_state(books)["slots"] > 50)
     process.send_signal(number)
     process.communicate(timeout=PATIENCE_S)
-    # In another thread only the system's own end is left; the board falls silent by itself.
+    # A run in another thread handles no signal: the system ends the process, and the board goes to
+    # zero when it hears nothing.
     assert process.returncode == (-number if kind == "thread" else 128 + number)
     if kind == "thread":
         return
@@ -106,11 +110,11 @@ def test_a_stop_at_any_instant_reaches_every_program(start, start_program, runs)
     for _ in range(runs or (3 if WHOLE else 1)):
         # Two, as the budget of a user is.
         programs = [start(kind) for kind in draw.sample(["run", "board", "left open"], 2)]
-        # Later than their start, by more than the system's steps of it.
+        # Some programs have registered by then, others have not.
         time.sleep(draw.uniform(0.05, 2.0))
         stop = start_program("stop")
         stop.communicate(timeout=PATIENCE_S)
-        # 1 where neither had begun to open its board.
+        # The exit code is 1 if neither had begun to open its board.
         assert stop.returncode in (0, 1)
         for _, books in programs:
             until(lambda books=books: read_state(books)["reason"])
@@ -118,7 +122,7 @@ def test_a_stop_at_any_instant_reaches_every_program(start, start_program, runs)
         for process, books in programs:
             attempts, _ = told(process)
             refused = {"BoardStoppedError", "BoardClosedError", "BoardError"}
-            # Before the stop a busy computer may end an attempt by itself.
+            # On a busy computer a late sequence may end an attempt before the stop.
             late = {"SequenceLateError", "BoardRestartedError"} & set(attempts.values())
             assert set(attempts.values()) <= {"done", *late, *refused}
             if not late:
