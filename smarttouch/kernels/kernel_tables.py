@@ -126,8 +126,8 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
     modes = sorted({site_kernel.afferent for site_kernel in kernels})
     heading = ["site", "x mm", "y mm"]
     for mode in modes:
-        heading += [f"{mode.name} other", "spill"] if len(modes) > 1 else [
-            "worst other", "of", "own spill", "total |w|/peak", "gap",
+        heading += [f"{mode.name} off-target", "spill"] if len(modes) > 1 else [
+            "off-target", "of", "spill", "total |w|/peak", "gap",
         ]  # fmt: skip
     rows: dict[int, list[str]] = {}
     for site_kernel in kernels:
@@ -141,7 +141,7 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
             row += [f"{total:.2f}", _gap(kernel.gap)]
     names = " and ".join(mode.name for mode in modes)
     note = (
-        "Worst other and own spill are relative to the target: above 1, another class or another "
+        "Off-target and spill are relative to the target: above 1, another class or another "
         "place fires before the target."
     )
     return WordTable(
@@ -163,7 +163,7 @@ def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list
         "positive cathodic",
         [],
         [[f"{weights[index]:+.3f}" for index in line] for line in lines],
-        f"worst other {kernel.off_target:.4f} ({kernel.off_target_class.name}), own spill "
+        f"off-target {kernel.off_target:.4f} ({kernel.off_target_class.name}), spill "
         f"{kernel.spill:.3f}, sum {weights.sum():+.1e}, node {kernel.node}; {certain}",
     )
     return table, [[index == of.site for index in line] for line in lines]
