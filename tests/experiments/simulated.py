@@ -1,4 +1,4 @@
-"""Simulated subjects of known thresholds, and whole experiments on a simulated board."""
+"""Simulated participants with known thresholds, and experiments on a simulated board."""
 
 import contextlib
 import math
@@ -20,9 +20,9 @@ from smarttouch.running.step import OnEvent, OnStep
 
 @dataclass(frozen=True)
 class Subject:
-    """Judges by a cumulative normal of the logarithm of the comparison.
+    """Participant whose chance of success is a cumulative normal of the comparison's logarithm.
 
-    `threshold` is where it says so `level` of the times, apart from guesses and lapses.
+    At `threshold`, without guesses and lapses, the share of successes is `level`.
     """
 
     threshold: float
@@ -32,7 +32,7 @@ class Subject:
     guess: float | None = None
 
     def probability(self, comparison):
-        # The quantile of 0.75 and of 0.5, the only ones in use.
+        # Normal quantiles of the two levels that tests use.
         offset = {0.75: 0.6744897501960817, 0.5: 0.0}[self.level]
         with np.errstate(divide="ignore"):
             z = (np.log(comparison) - np.log(self.threshold)) / self.spread + offset
@@ -41,7 +41,7 @@ class Subject:
 
 
 def answer_all(procedure, probability, seed=0):
-    """Go through a procedure; answers are drawn from the probability of each comparison."""
+    """Answer a procedure at random; ``probability`` maps a comparison to the chance of success."""
     random = np.random.default_rng(seed)
     success = []
 
@@ -53,12 +53,12 @@ def answer_all(procedure, probability, seed=0):
 
 
 def read_rows(path):
-    """Return the trials in a file of answers."""
+    """Return the rows of a file of answers, one for each trial."""
     return parse_cells(path.read_bytes(), path).rows(COLUMNS)
 
 
 def ask_all(procedure, answer=lambda _condition: True):
-    """Return all conditions of a procedure; a function of each gives its answer."""
+    """Return all conditions that a procedure shows; ``answer`` maps a condition to its answer."""
     shown, condition = [], next(procedure, None)
     with contextlib.suppress(StopIteration):
         while condition is not None:
@@ -79,7 +79,7 @@ def as_answers(shown, success, standard=None):
 
 
 def of_counts(stimulus, n, k, standard=0.0, alternatives=0):
-    """Return the answers that have these counts."""
+    """Return answers with ``k`` successes in ``n`` trials at each stimulus."""
     comparison = np.repeat(np.asarray(stimulus, float), n)
     success = np.concatenate(
         [[1.0] * yes + [0.0] * (all_ - yes) for all_, yes in zip(n, k, strict=True)]
@@ -90,12 +90,12 @@ def of_counts(stimulus, n, k, standard=0.0, alternatives=0):
 
 @dataclass
 class SimulatedSubject:
-    """Simulated responses at one electrode.
+    """Participant who presses a key at the threshold of one electrode, then at its comfort level.
 
-    Threshold and comfort are found at every second look; ``slope`` is the standard deviation of
-    both in natural logarithms, ``guess`` the rate of false detections and ``lapse`` that of
-    misses, ``reaction_s`` from a look to the key, of which single ones vary by a quarter, and
-    ``drift`` the part by which both rise in a minute of stimulation.
+    Every 0.5 s the participant compares the current with the next of these two levels. `slope` is
+    the standard deviation of both in natural logarithms, `guess` the rate of false detections,
+    `lapse` the rate of misses, and `drift` the relative rise of both in a minute of stimulation.
+    A key follows a detection after `reaction_s`, with a standard deviation of about 25 %.
     """
 
     threshold_ma: float
@@ -116,7 +116,7 @@ class SimulatedSubject:
         self._key_in_s, self._look_in_s = math.inf, self._random.uniform(0, 0.5)
 
     def presses(self, level_ma, seconds):
-        """Simulate a step of rising current; return whether a key is pressed."""
+        """Return whether the participant presses a key during a step at one current."""
         self._minutes += seconds / 60
         if level_ma == 0:
             self._forget()
@@ -141,7 +141,7 @@ class SimulatedSubject:
 
 @dataclass
 class Perfect:
-    """Measures the time between pulses, counts them, and keeps what it felt."""
+    """Observer that compares pulse rates and counts without error, and stores all intervals."""
 
     felt: list = field(default_factory=list)
 
@@ -156,24 +156,24 @@ class Perfect:
 
 
 class Silent:
-    """Never answers."""
+    """Observer that never answers."""
 
     def respond(self, task, intervals, alternatives):
         return None
 
 
 class Sat(SimpleNamespace):
-    """Result of a run: its source, rows, figures, and the time and words of each event."""
+    """Result of an experiment: source, rows, figures, and time and text of each event."""
 
     def events(self, start):
-        """Return the events that begin so."""
+        """Return the texts of the events that begin with ``start``."""
         return [words for _, words in self.told if words.startswith(start)]
 
 
 def sit(
     name, setup, bank, path, observer, *, stop_after=None, watch=None, controls=None, force=None
 ):
-    """Run an experiment; stop it before the answer of a trial is written if asked to."""
+    """Run an experiment to its end, or until a trial begins after ``stop_after`` stored rows."""
     stop, told = StopRequest(), []
     with open_experiment(name, setup, path, "p1", "s1") as sitting:
         source = sitting.source(observer)

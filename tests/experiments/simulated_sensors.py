@@ -1,4 +1,4 @@
-"""Simulated sensors of known properties: a load cell, a patch of pixels, a camera over the page."""
+"""Simulated sensors with known properties: a load cell, an optical sensor, a camera."""
 
 import math
 from dataclasses import dataclass
@@ -12,23 +12,23 @@ from smarttouch.experiments.sensor_optics import picture
 
 @dataclass
 class SimulatedCell:
-    """Simulated load cell."""
+    """Load cell with noise, outliers and missing readings."""
 
-    # counts_per_n, zero: scale and offset of an ideal cell
+    # counts_per_n: counts per newton; zero: reading without force
     counts_per_n: float = 4.1e5
     zero: float = 83_000.0
-    noise_n: float = 0.002  # of a single reading
-    garbage: float = 0.0  # part of the readings that are far off
-    missing: float = 0.0  # part of the readings that are NaN
+    noise_n: float = 0.002  # standard deviation of a reading
+    garbage: float = 0.0  # share of readings with random values
+    missing: float = 0.0  # share of readings that are NaN
     seed: int = 0
     rate_hz: float = 80.0
-    grams: float = 0.0  # weight on it
+    grams: float = 0.0  # weight on the cell
 
     def __post_init__(self):
         self._random = np.random.default_rng(self.seed)
 
     def collect(self, seconds):
-        """Return the readings of a duration, at once."""
+        """Return the readings of this duration, without waiting."""
         random, count = self._random, round(seconds * self.rate_hz)
         readings = self.grams / 1000 * STANDARD_GRAVITY + self.noise_n * random.standard_normal(
             count
@@ -42,7 +42,7 @@ class SimulatedCell:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPatch:
-    """Simulated sensor patch: uneven light, pixels of varied gain and dark level, some broken."""
+    """Optical sensor with uneven light, and pixels of varied gain and dark level, some broken."""
 
     shape: tuple[int, int] = (64, 64)
     noise_levels: float = 2.0
@@ -51,11 +51,11 @@ class SimulatedPatch:
     seed: int = 0
 
     def images(self, count, *, light):
-        """Return images of blank paper, or in the dark."""
+        """Return images of blank paper, with or without light."""
         return self.see(np.full(self.shape, 1.0 if light else 0.0), count)
 
     def see(self, scene, count: int = 1):
-        """Return the image of a scene, (H, W) from 0 (no light) to 1 (white)."""
+        """Return images of a scene, (H, W) in [0, 1]: 0 is no light, 1 is white paper."""
         fixed = np.random.default_rng(self.seed)
         y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in self.shape), indexing="ij")
         gain = 1 + 0.1 * x - 0.15 * (x * x + y * y)
@@ -70,30 +70,30 @@ class SimulatedPatch:
         return list(np.clip(seen, 0, 255).astype(np.uint8))
 
 
-_SAMPLES = 4  # rays per pixel and axis
+_SAMPLES = 4  # samples of a pixel along each axis
 _INK_LEVEL = 0.15  # reflectance of black print
 
 
 @dataclass(frozen=True)
 class View:
-    """Pose of a camera over the page."""
+    """Camera above a page: pose, optics and light."""
 
-    # tilt_deg, toward_deg: between the line of sight and the page's normal, and which way it leans
+    # tilt_deg: angle of the line of sight to the page's normal; toward_deg: axis of this tilt
     tilt_deg: float = 0.0
     toward_deg: float = 0.0
-    turn_deg: float = 0.0  # about the line of sight
-    offset_mm: tuple[float, float] = (0.0, 0.0)  # place on the page at the middle of the image
-    # from the page, along the line of sight; perspective grows as it falls
+    turn_deg: float = 0.0  # rotation about the line of sight
+    offset_mm: tuple[float, float] = (0.0, 0.0)  # point of the page at the image center
+    # distance from the page along the line of sight; a smaller distance gives more perspective
     distance_mm: float = 30.0
-    zoom: float = 1.0  # pixels per millimeter, as a part of the profile's
-    # blur_px, noise_levels: of the optics and of the sensor, standard deviations
+    zoom: float = 1.0  # pixels per millimeter, relative to the value in the profile
+    # blur_px, noise_levels: standard deviations of the optics' blur and the sensor's noise
     blur_px: float = 0.5
     noise_levels: float = 2.0
-    uneven: float = 0.3  # by how much of itself the light varies over the image
-    seed: int = 0  # of the noise, and of where the light comes from
+    uneven: float = 0.3  # relative variation of the light over the image
+    seed: int = 0  # seed of the noise and of the light's direction
 
     def homography(self, optics, shape):
-        """Return the map from page to pixels: a pinhole camera over a plane."""
+        """Return the homography of a pinhole camera from the page, mm, to pixels, (3, 3)."""
         rows, columns = shape
         scale = self.zoom * min(columns / optics.field_width_mm, rows / optics.field_height_mm)
         focal = scale * self.distance_mm
@@ -109,7 +109,7 @@ class View:
         return np.asarray(seen / seen[2, 2])
 
     def render(self, target, optics, shape):
-        """Return the camera's image of the target."""
+        """Return the camera's image of a printed target, (H, W) uint8."""
         random = np.random.default_rng(self.seed)
         rows, columns = shape
         half = (_SAMPLES - 1) / 2

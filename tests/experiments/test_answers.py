@@ -1,4 +1,4 @@
-"""Rows come back as they were written, whatever happens in between; others' files are read, too."""
+"""Files of answers survive crashes and spreadsheets; files of other programs are read, too."""
 
 import os
 import re
@@ -62,7 +62,7 @@ def test_cut_anywhere_loses_the_cut_line_alone(tmp_path_factory, rows, data):
     path.write_bytes(cut)
     with AnswerFile(path, ABOUT) as file:
         kept = len(file.rows)
-        # A line of which only the end is missing is whole.
+        # A line without its line end, but with all cells, is complete.
         assert kept in {max(cut.count(b"\n") - 1, 0), cut.count(b"\n")}
         for row in rows[kept:]:
             file.append(row)
@@ -133,7 +133,7 @@ def test_no_other_session_goes_on(tmp_path, name, wanted):
     with raises(ExperimentError, names=name, value=ABOUT[name], allowed=wanted):
         AnswerFile(path, ABOUT | {name: wanted})
     assert path.read_bytes() == before
-    # Whoever is refused leaves the file free.
+    # The refusal leaves no lock on the file.
     with AnswerFile(path, ABOUT) as file:
         assert file.rows == [ROW]
 
@@ -179,7 +179,7 @@ def test_our_own(tmp_path):
         assert each.interval.tolist() == [1, 2, 1]
         assert each.alternatives == 2
         assert (each.presented, each.answered) == (3, 2)
-        # Judged higher in the first, not judged higher in the second: the first both times.
+        # Success with the comparison in interval 1, failure in interval 2: both times 1 was chosen.
         assert each.chosen() == (2, 0)
         assert [part.tolist() for part in each.counts()] == [[39], [2], [1]]
 

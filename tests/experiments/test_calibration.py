@@ -1,4 +1,4 @@
-"""What is measured of a device goes into its profile; what is no measurement is one sentence."""
+"""Calibration writes measurements to a profile; unusable measurements raise an error."""
 
 import contextlib
 import dataclasses
@@ -61,7 +61,7 @@ def test_nothing_is_overwritten_unless_requested(tmp_path):
     mine.write_text("what was there")
     with raises(CalibrationError, value=mine):
         ProfileFile("electric-mouse", mine)
-    # Nor what came there meanwhile.
+    # A file that appeared after this check is not overwritten either.
     late = ProfileFile("electric-mouse", tmp_path / "late.toml")
     (tmp_path / "late.toml").write_text("came meanwhile")
     with raises(CalibrationError, value=tmp_path / "late.toml"):
@@ -235,7 +235,7 @@ def test_no_contact_is_one_sentence(runs, attributes):
 
 
 class Lossy:
-    """A board that is lost at some of its measurements."""
+    """Board whose connection breaks at the measurements with the numbers ``lost_at``."""
 
     def __init__(self, lost_at):
         self.lost_at, self.opened, self.measured = lost_at, 0, 0
@@ -274,14 +274,14 @@ def weighed(cell, grams=UP, seconds=2.0):
 
 
 def off_n(cell, found):
-    """Return the errors of the curve from 0 to full force."""
+    """Return the errors, N, of a fitted force curve from 0 to full force."""
     force_n = np.linspace(0, found.full_n, 40)
     seen = cell.zero + cell.counts_per_n * force_n
     return np.array([found.force_n(each) for each in seen]) - force_n
 
 
 def test_cells_of_known_truth(profile):
-    """Noise of 4 mN, 3 % garbage, 2 % NaN: bias and spread over the whole range."""
+    """With 4 mN of noise, 3 % outliers and 2 % NaN, the errors of the force curve stay small."""
     off = []
     for seed in range(200 if WHOLE else 50):
         random = np.random.default_rng(seed)
@@ -295,7 +295,7 @@ def test_cells_of_known_truth(profile):
 
 
 def test_the_curve_keeps_its_digits(profile):
-    """Readings of 24 bits: rounding the coefficients must not move the force."""
+    """With 24-bit readings, rounding of the stored coefficients does not change the force."""
     cell = SimulatedCell(counts_per_n=8e6, zero=8e6, noise_n=0.0005)
     assert np.abs(off_n(cell, fit_curve(weighed(cell), profile.force))).max() < 0.002
 
@@ -316,7 +316,7 @@ def test_readings_that_are_none(readings):
 
 
 def nonsense():
-    """Each a name, weights, readings, and what is wrong with them."""
+    """Yield name, weights in g, reading for a weight, and attributes of the expected error."""
     line = {0: 0, 20: 2e4, 50: 5e4, 100: 1e5}
     yield "nothing moves", UP, lambda g: 5.0, {"value": 0, "allowed": 0}
     noisy = {"value": 0, "allowed": lambda noise: noise > 15}

@@ -1,4 +1,4 @@
-"""Every experiment shows what its conditions name; free stimulation follows the hand."""
+"""Trials have the stimuli that their conditions state; free stimulation follows the keys."""
 
 import math
 from collections import Counter
@@ -34,7 +34,7 @@ MOUSE = load_profile("electric-mouse")
 
 
 def begun(name, profile=MOUSE, afferent=Afferent.RA, **options):
-    """Return the setup of an experiment, and all of its trials, answered right."""
+    """Return the setup of an experiment and all its trials, each answered correctly."""
     setup, trials = trials_of(name, Setup(profile, afferent, **options))
     return setup, ask_all(trials, lambda trial: Answer(trial.success, True))
 
@@ -176,7 +176,7 @@ def test_sites_are_whole_numbers_and_activations_are_not(changed):
 
 
 class Counts:
-    """Answers that the interval with fewer pulses had the gap."""
+    """Observer that names the interval with fewer pulses, as a gap removes pulses."""
 
     def respond(self, task, intervals, alternatives):
         return alternatives[int(np.argmin([len(each.time_s) for each in intervals]))]
@@ -226,7 +226,7 @@ def line():
 
 @pytest.fixture
 def play(line):
-    """Return a runner: keys and levels by the second, to steps, events and the board's report."""
+    """Return a function that runs free stimulation; ``does`` maps seconds to keys or levels."""
 
     def run_it(seconds, does):
         steps, events, waiting = [], [], sorted(does.items())

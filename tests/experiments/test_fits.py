@@ -1,4 +1,4 @@
-"""Fits agree with hand calculation; a sentence says why there is no threshold."""
+"""Psychometric fits agree with hand calculations; a verdict says why there is no threshold."""
 
 import math
 from dataclasses import replace
@@ -52,7 +52,7 @@ def test_any_answers_give_estimates_in_their_intervals_that_rise_with_the_share(
 
 
 def test_two_points_by_hand():
-    """Quantiles of 1/4 and 3/4 are -+ z: the middle lies between, the spread is 1 / z."""
+    """Shares of 1/4 at 0 and 3/4 at 2 give midpoint 1 and spread 1 / z, z = quantile of 3/4."""
     z = norm.ppf(0.75)
     model = Model(guess=0.0, logarithmic=False, most_lapses=0.0)
     found = fit(counts_of([0, 2], [2000, 2000], [500, 1500]), model)
@@ -60,7 +60,7 @@ def test_two_points_by_hand():
     assert found.parameters.spread[0] == pytest.approx(1 / z, rel=0.01)
     assert found.bounded(0.75).value == pytest.approx(2.0, abs=0.02)
     assert found(np.array([0.0, 1.0, 2.0])) == pytest.approx([0.25, 0.5, 0.75], abs=0.01)
-    # The deviation of such a quantile, and that of the middle from the mean of two.
+    # Standard error of one quantile, then of the mean of two, in units of the stimulus.
     deviation = math.sqrt(0.25 * 0.75 / 2000) / norm.pdf(z) / math.sqrt(2) / z
     half = (found.bounded(0.5).high - found.bounded(0.5).low) / 2
     assert half == pytest.approx(1.96 * deviation, rel=0.05)
@@ -95,7 +95,7 @@ def test_contradictions(arguments, value):
 
 
 def session(answers, standard=30.0, repetitions=10, seed=0):
-    """Return the answers that a function of the condition gives."""
+    """Simulate a session; ``answers(condition, trial)`` returns the answer to a trial."""
     procedure = constant_stimuli(ratio_pairs([standard]), repetitions, seed=seed)
     shown = ask_all(procedure)
     return as_answers(shown, [answers(each, n) for n, each in enumerate(shown)])
@@ -156,7 +156,7 @@ def test_beyond_the_range():
 
 
 def test_one_sided_and_of_two_intervals_are_tested_against_guessing():
-    """Adaptive answers keep close to 75 %, and yet are no guesses."""
+    """Shares that stay near 75 %, as in adaptive procedures, are not taken for guesses."""
     stimulus = [32.0, 33, 34, 35, 36]
     share = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10], standard=30.0)
     assert judge_answers(share, usual_model([share])).verdict is None
@@ -190,7 +190,7 @@ def test_which_model():
 
 
 def test_two_modes_in_a_figure(tmp_path):
-    """Of a good subject, and of one who guesses."""
+    """The figure has the thresholds of a good participant, and none for one who guesses."""
     good = Subject(36.0, 0.25).probability
     procedure = constant_stimuli(ratio_pairs([30.0]), 30)
     answers = answer_all(procedure, good, 3), session(lambda each, n: n % 2 == 0, 60.0)

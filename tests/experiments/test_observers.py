@@ -1,4 +1,4 @@
-"""An observer that judges spikes, one of known thresholds, and some of no use."""
+"""Simulated observers: one judges the spikes of a finger, the other answers at random."""
 
 import math
 
@@ -27,7 +27,7 @@ MIDDLE = 27
 
 
 def weber_fraction(standard_hz, ratio):
-    """Return how much higher a comparison is judged so in 75 %; infinite if none is."""
+    """Return the Weber fraction at 75 % in closed form; infinite if no comparison reaches 75 %."""
     n, limit_hz = SHARPNESS, believable_hz(ratio)
     left = (standard_hz**-n + limit_hz**-n) * (1 + BASE_WEBER) ** -n - limit_hz**-n
     return float(left ** (-1 / n) / standard_hz - 1) if left > 0 else math.inf
@@ -35,7 +35,7 @@ def weber_fraction(standard_hz, ratio):
 
 @pytest.fixture(scope="module")
 def pulse(profile, bank):
-    """Return a maker of one pulse's currents, (E,) µA, from the kernels of the bank."""
+    """Return a function that makes the currents of a pulse, (E,) µA, from a kernel of the bank."""
 
     def make(afferent=RA, site=MIDDLE, level=1.0):
         current_ua = 1000 * level * profile.full_ma[site] * bank.kernels(afferent)[site]
@@ -46,7 +46,7 @@ def pulse(profile, bank):
 
 @pytest.fixture(scope="module")
 def train(pulse):
-    """Return a maker of an interval: pulses of one kind at a frequency."""
+    """Return a function that makes an interval of equal pulses at one frequency."""
 
     def make(hz, afferent=RA, site=MIDDLE, level=1.0, seconds=0.5, width_us=200):
         time_s = np.arange(0, seconds, 1 / hz)
@@ -58,7 +58,7 @@ def train(pulse):
 
 @pytest.fixture(scope="module")
 def finger(profile):
-    """Return the finger that is simulated where none is asked for."""
+    """Return the finger that is simulated by default."""
     return Finger(profile, 1, "paper")
 
 
@@ -93,11 +93,11 @@ class TestNerve:
 
 
 class TestTheThresholdsOfThePaper:
-    """Fig. 16 and 18, as the model has them; its noise and sharpness are set for the former."""
+    """The model agrees with the paper's Fig. 16, to which it is fitted, and with Fig. 18."""
 
     @pytest.fixture
     def ratio_of(self, finger, train):
-        """Return the ratio of PC to RA spikes that full pulses of a mode evoke."""
+        """Return a function: ratio of PC to RA spikes that the kernel of a class evokes."""
         return lambda afferent: Nerve(finger).of(train(20, afferent, seconds=1)).ratio
 
     def test_in_ra_mode_frequency_is_lost_above_60_hz(self, ratio_of):

@@ -1,4 +1,4 @@
-"""Constant stimuli, staircases, QUEST+ and mixtures: what is shown, and what is found."""
+"""Constant stimuli, staircases and QUEST+: order of the conditions, and accuracy of estimates."""
 
 from collections import Counter
 
@@ -54,7 +54,7 @@ def test_unanswered_trials_come_again_once(missed, missed_again):
 
 
 def test_steps_by_hand():
-    """Down 4, up 64 until the second reversal; then down 2, up 8."""
+    """Factors are 1/4 after success and 64 after failure; from the second reversal, 1/2 and 8."""
     procedure = weighted_staircase(16.0, 1.0, 256.0, 1.0)
     answers = [True, True, False, True, True, False, True]
     shown = [next(procedure), *map(procedure.send, answers)]
@@ -117,11 +117,11 @@ AS_USED = {
         0.1, 2.0, 0.0, two_intervals=False, seed=seed
     ),
 }
-"""Procedures as they are used with real subjects."""
+"""Procedures with the settings of real sessions, by task and method."""
 
 
 def draw_subject(task, random):
-    """Return a subject: Weber fraction 8 to 40 %, absolute threshold around 0.5, lapses to 5 %."""
+    """Return a participant with random lapse rate and Weber fraction (8 to 40 %) or threshold."""
     lapse = random.uniform(0, 0.05)
     if task == "discrimination":
         weber = np.exp(random.uniform(np.log(0.08), np.log(0.4)))
@@ -131,7 +131,7 @@ def draw_subject(task, random):
 
 
 def recover(task, name, subjects):
-    """Return errors of estimates, whether intervals hold the truth, and numbers of trials."""
+    """Return threshold errors, whether intervals contain the true threshold, and trial counts."""
     random, errors, held, trials = np.random.default_rng(0), [], [], []
     for seed in range(subjects):
         subject = draw_subject(task, random)
@@ -148,7 +148,7 @@ def recover(task, name, subjects):
 def test_thresholds_come_back(task, name):
     errors, held, trials = recover(task, name, 24)
     assert len(errors) >= 16
-    # Weber fractions are from 8 to 40 %: what is found has to be told apart from any other.
+    # Errors must be small compared with the range of the Weber fractions, 8 to 40 %.
     assert abs(np.mean(errors)) < 0.06
     assert np.std(errors) < 0.16
     assert 20 <= np.mean(trials) <= 100

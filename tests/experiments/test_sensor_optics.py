@@ -1,4 +1,4 @@
-"""Measured optics of a sensor are the true ones, and every electrode's point is found."""
+"""Flat field and registration agree with the known optics of simulated sensors."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_a_known_patch():
 
 
 def test_after_is_judged_on_frames_that_the_correction_was_not_made_from():
-    """With two frames of each, the correction of one frame only evens itself out."""
+    """A flat field from one noisy frame makes that frame even, but not another frame."""
     result = found(SimulatedPatch(noise_levels=5.0), frames=2)
     assert result.uneven_after > 0.03
 
@@ -55,7 +55,7 @@ def test_paper_that_moved_is_refused():
 
 
 class Listed(OpticalSource):
-    """Each image twice, the third one stale, and then the end."""
+    """Source that returns each image twice, and marks the third image as stale."""
 
     def __init__(self, images, end=True):
         super().__init__("a list")
@@ -95,7 +95,7 @@ COARSEST, COARSE, FINE = (32, 32), (64, 64), (480, 640)
 
 
 def random_view(seed, shape, optics):
-    """Return a view such as a careless bench gives: any turn, up to 25° of tilt."""
+    """Return a random view of a careless setup: any rotation, and up to 25° of tilt."""
     random = np.random.default_rng((seed, *shape))
     field_mm = min(optics.field_width_mm, optics.field_height_mm)
     pixels = min(shape)
@@ -110,7 +110,7 @@ def random_view(seed, shape, optics):
 
 
 def true_error(found, profile, view, shape):
-    """Return the error of each electrode's place on the page, in pitches."""
+    """Return the error of each electrode's registered place on the page, in pitches, (E,)."""
     optics = profile.optics
     looks_at_mm = apply(np.linalg.inv(view.homography(optics, shape)), found.electrode_pixel)
     away_mm = looks_at_mm - profile.electrodes.position_mm / optics.magnification
@@ -120,7 +120,7 @@ def true_error(found, profile, view, shape):
 
 @pytest.mark.parametrize(("shape", "cases"), [(COARSEST, 24), (COARSE, 24), (FINE, 6)])
 def test_the_true_error_is_below_a_tenth_of_a_pitch(profile, shape, cases):
-    """Tilted up to 25°, turned any way, blurred, noisy, unevenly lit."""
+    """Registration tolerates tilt up to 25°, any rotation, blur, noise and uneven light."""
     target = target_for(profile)
     for seed in sample(range(cases)):
         view = random_view(seed, shape, profile.optics)
@@ -130,7 +130,7 @@ def test_the_true_error_is_below_a_tenth_of_a_pitch(profile, shape, cases):
 
 
 def test_what_is_calibrated_is_what_the_pipeline_looks_at(profile):
-    """A square of ink under one electrode is seen by that one, through a tilted camera."""
+    """Through a tilted camera, only the electrode above a square of ink sees the ink."""
     target = target_for(profile)
     view = View(tilt_deg=20, toward_deg=30, turn_deg=25, zoom=0.75, seed=3)
     found = register(view.render(target, profile.optics, COARSE), profile, target)
@@ -167,7 +167,7 @@ def test_a_sensor_too_coarse_for_any_target():
 
 
 def test_the_target_as_it_is_printed(tmp_path, profile):
-    """A flat scan of the PNG is recognized, in the size that it states."""
+    """The drawn PNG file is recognized, and its resolution gives the target the stated size."""
     target = PageTarget(0.3)
     target.draw(tmp_path / "target.png")
     with Image.open(tmp_path / "target.png") as image:
@@ -205,7 +205,7 @@ def test_a_target_that_is_not_in_view(profile, view, words):
 
 
 def test_a_target_that_does_not_fit_the_fit(profile):
-    """A bulging lens, and an array that looks elsewhere."""
+    """Lens distortion, or a wrong magnification in the profile, is refused."""
     target = target_for(profile)
     image = View(zoom=0.7).render(target, profile.optics, FINE)
     rows, columns = np.indices(FINE)

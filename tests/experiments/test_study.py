@@ -1,4 +1,4 @@
-"""Studies: the same rows however they are made, and what a plan may not contain."""
+"""Studies: rows do not depend on interruptions or workers; wrong plans are refused."""
 
 import os
 import signal
@@ -113,7 +113,7 @@ def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
     killed = []
 
     async def not_again():
-        """A killed worker is not replaced: the others do its work."""
+        """Do not replace the killed worker, so that the other worker does its tasks."""
 
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=None

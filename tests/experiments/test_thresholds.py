@@ -1,4 +1,4 @@
-"""Ascending limits find what subjects feel, within the limits of the board."""
+"""Ascending limits measure the thresholds of simulated participants within the board's limits."""
 
 import contextlib
 import math
@@ -43,7 +43,7 @@ from .simulated import SimulatedSubject
 
 @pytest.fixture
 def begun(tmp_path):
-    """Return a beginner of sessions' progress, one after another: the one before has ended."""
+    """Return a function that opens the results file, after closing it if it is open."""
     open_ones = []
 
     def begin():
@@ -58,7 +58,7 @@ def begun(tmp_path):
 
 
 class Finger(Listener):
-    """Feels what was sent, whichever board it was sent to, and presses keys."""
+    """Listener that lets simulated participants feel each sequence and press keys."""
 
     def __init__(self, source, subjects):
         super().__init__()
@@ -85,13 +85,13 @@ def silent(profile):
 
 
 def display_of(profile, kind=MemoryDriver):
-    """Return a board that takes sequences as soon as they are made: nothing is waited for."""
+    """Return a display whose board accepts each sequence at once, in simulated time."""
     measuring = measuring_profile(profile)
     return Display(board_without_finger(measuring, kind, simulated_time=True), measuring)
 
 
 def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **options):
-    """Run a session in simulated time; return the electrodes that were shown."""
+    """Run a session in simulated time; return the lines that report results."""
     shown = []
     trials = threshold_trials(profile, display.board, sites, progress, shown.append, **options)
     source = TrialSource(trials, display.profile, "thresholds")
@@ -120,7 +120,7 @@ def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile
     for sequence in display.board.driver.sequences:
         level_ma = level_of(sequence)
         rise_ma = slew * (sequence.time_ns - last_ns) / 1e9
-        # To the rounding of a microampere.
+        # Currents are rounded to whole µA.
         assert level_ma - last_ma <= rise_ma + 1.1e-3
         last_ma, last_ns = level_ma, sequence.time_ns
         sites |= set(sequence.site.tolist())
@@ -134,7 +134,7 @@ def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile
 
 @pytest.mark.parametrize("name", sample(list_profiles(), 5))
 def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, begun):
-    """Nothing is ever felt: the current goes up to the ceiling, and every proof holds."""
+    """If nothing is felt, the current rises to the ceiling, and the gate accepts each sequence."""
     profile = load_profile(name)
     display, site = display_of(profile), len(profile.electrodes) - 1
     progress = begun()
@@ -194,7 +194,7 @@ def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, begun):
 
 
 class Losing(MemoryDriver):
-    """A board that is lost, and back, at these sends."""
+    """Driver whose connection breaks once after each number of sequences in `at`."""
 
     at = ()
 
@@ -228,7 +228,7 @@ def test_a_board_that_is_lost_all_the_time(profile, begun):
 
 @pytest.mark.parametrize("key", STOP_KEYS)
 def test_a_person_is_instructed_and_stops(tmp_path, key):
-    """By a key; an empty one means that the terminal is gone."""
+    """Each stop key ends the session; an empty key means that the terminal is gone."""
     heeding, said = [], []
 
     @contextlib.contextmanager
@@ -302,7 +302,7 @@ FINGERS = 200 if WHOLE else 40
 
 
 class Rising:
-    """Steps of ascending limits, one by one."""
+    """Method of ascending limits, one step of current at a time."""
 
     def __init__(self, ceiling_ma=CEILING_MA, expected_ma=1.2, **options):
         self.ceiling_ma = ceiling_ma
@@ -337,7 +337,7 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", sample(KINDS))
 def test_bias_and_spread_over_many_subjects(kind):
-    """Thresholds from 0.6 to 2.4 mA where 1.2 mA are expected."""
+    """Results are accurate for thresholds from 0.6 to 2.4 mA, although 1.2 mA is expected."""
     rising, comfort = [], []
     for seed in range(FINGERS if kind == "usual" else 40):
         random = np.random.default_rng(seed)
@@ -347,7 +347,7 @@ def test_bias_and_spread_over_many_subjects(kind):
         found = rise(subject, seed=seed)
         rising.append(found.threshold_ma / threshold - 1)
         comfort.append(found.comfort_ma / strongest - 1)
-    # Measured, rising: bias −3 to +7 %, spread 4 to 9 %; comfort −11 to +2 %, 3 to 9 %.
+    # Measured: threshold bias −3 to +7 %, spread 4 to 9 %; comfort bias −11 to +2 %, 3 to 9 %.
     assert abs(np.mean(rising)) < 0.1
     assert np.std(rising) < 0.11
     assert -0.13 < np.mean(comfort) < 0.03
@@ -373,7 +373,7 @@ def test_keys_without_current_are_counted_and_restart_the_pause():
         assert rising.level_ma == 0
         rising.answer(True)
     rising.until(1e-9)
-    # Nobody reacts within a step of the first current.
+    # At the first step of current a key is too early to be a reaction.
     rising.answer(True)
     assert rising.level_ma == 0
     for level_ma in (1.0, 2.0):
@@ -383,7 +383,7 @@ def test_keys_without_current_are_counted_and_restart_the_pause():
 
 
 def test_a_key_held_down_ends_the_run_at_zero_and_is_believed_in_the_end():
-    """It may be a current that hurts: nothing more flows, and it is not asked for ever."""
+    """A held key may mean pain: the current stops, and the run is repeated at most twice."""
     rising = Rising(repeats=1)
     for run in range(MOST_HURRIED + 1):
         rising.until(1.0)
@@ -407,7 +407,7 @@ def test_whatever_is_pressed_it_ends_within_the_ceiling(ceiling, expected, share
     for _ in range(20_000):
         if rising.found is not None:
             break
-        # Whoever presses all the time never lets a run begin.
+        # Press only while current flows: a key during the pause restarts the pause.
         rising.answer(rising.level_ma > 0 and random.random() < share)
     assert rising.found is not None or share > 0.02
     if rising.found is not None and rising.found.felt:

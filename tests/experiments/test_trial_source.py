@@ -1,4 +1,4 @@
-"""Trials are presented as asked, and a session that is interrupted has each of them once."""
+"""Trials have the requested currents; an interrupted session stores each trial once."""
 
 import contextlib
 import math
@@ -36,7 +36,7 @@ DETECTION = {"repetitions": 1, "train_s": 0.1}
 
 @pytest.fixture
 def take(profile, bank, tmp_path):
-    """Return a runner of an experiment, to what came of it and its rows."""
+    """Return a function that runs an experiment and returns its result and its file's rows."""
 
     def run_it(observer, options=FEW, name="frequency", **how):
         path = tmp_path / "rows.csv"
@@ -51,7 +51,7 @@ def is_playing(source, trial, words):
 
 
 def test_trains_have_the_asked_frequency_to_the_microsecond(profile, take):
-    """Ten comparisons with a standard; times and pulses by the board's account."""
+    """The pulses that the simulated board reports have the frequencies stored in the file."""
     observer = Perfect()
     sat, rows = take(observer, {"repetitions": 1, "standards": "60", "train_s": 0.27})
     assert rows == sat.rows
@@ -62,7 +62,7 @@ def test_trains_have_the_asked_frequency_to_the_microsecond(profile, take):
                             strict=True):  # fmt: skip
             assert len(felt.time_s) == round(0.27 * hz)
             assert np.diff(felt.time_s) * 1e6 == pytest.approx(round(1e6 / hz), abs=1e-3)
-            # The kernel of the middle, at full strength in every pulse.
+            # Every pulse is the kernel of the middle site at full intensity.
             strongest = np.abs(felt.current_ua).max(axis=1) / 1000
             assert strongest == pytest.approx(profile.full_ma[27], abs=0.005)
             assert felt.width_us == pytest.approx(200)
@@ -82,7 +82,7 @@ def test_trains_have_the_asked_frequency_to_the_microsecond(profile, take):
 
 
 def test_before_a_trial_intensity_is_there_and_between_intervals_silence(profile, take):
-    """The level is opened by pulses of threshold; those of trials come at full intensity."""
+    """Pulses near threshold raise the ramp before a trial; the trial has full intensity."""
     steps = []
     take(
         Perfect(), FEW | {"gap_s": 0.333},
@@ -100,7 +100,7 @@ def test_before_a_trial_intensity_is_there_and_between_intervals_silence(profile
             opening_ma += [np.abs(each.current_ua).max(initial=0) / 1000 for each in sequences]
         if title.endswith("second"):
             first_ns = ends_ns[title.replace("second", "first")]
-            # The silence is still called by the interval before it.
+            # During the pause the title still names the first interval.
             assert (sequences[0].time_ns - first_ns) == pytest.approx(0, abs=1000)
     assert 0 < max(opening_ma) <= 1.02 * profile.threshold_ma[27]
 
@@ -140,7 +140,7 @@ def test_the_user_sets_the_amplitude_and_rows_have_it(profile, take):
 
 
 def test_currents_that_count_wait_for_full_intensity_and_no_key_changes_one(take):
-    """Detection at half the user's own level would be another current."""
+    """At a lower intensity, a detection trial would have less current than its condition states."""
     titles, lowered = [], []
 
     def watch(sent, source, controls):
@@ -153,13 +153,13 @@ def test_currents_that_count_wait_for_full_intensity_and_no_key_changes_one(take
     observer = Perfect()
     controls = Controls(ControlState(Mode.RA, 0.5))
     sat, rows = take(observer, DETECTION, "detection", watch=watch, controls=controls)
-    # The key that raises intensity is shown as long as it is missing.
+    # While intensity is too low, the title names the key that raises it.
     assert next("+" in title for title in titles if title.count(":"))
     assert sat.events("trial 4 ") == ["trial 4 again: current was lost"]
     assert {row["level"] for row in rows} == {1.0}
     for row, (_, (felt,)) in zip(rows, observer.felt, strict=True):
         strongest_ma = np.abs(felt.current_ua).max(initial=0) / 1000
-        # Whole microamperes of 64 electrodes are balanced by the strongest.
+        # The strongest electrode balances the rounding errors of all 64 electrodes.
         assert strongest_ma == pytest.approx(row["comparison"], abs=0.02)
         assert row["success"] == (row["comparison"] > 0)
 
@@ -170,7 +170,7 @@ def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(take):
 
 
 class Moving(ForceSource):
-    """A finger that moves up and down once a second."""
+    """Force of a finger that presses harder and softer once a second."""
 
     def read(self, time_ns):
         return 0.7 + 0.2 * math.sin(2 * math.pi * time_ns / 1e9)
@@ -199,7 +199,7 @@ def test_softness_is_a_rate_that_does_not_follow_the_moving_finger(profile, bank
 
 @pytest.fixture
 def present(profile, bank):
-    """Return a function that runs one trial, whose keys another presses at each step."""
+    """Return a function that runs one trial, and calls ``press`` at each step to press keys."""
 
     def run_it(press, name="frequency", train_s=0.1, url="simulated:", **timing):
         answers, results = [], []
@@ -265,10 +265,10 @@ def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(present):
             threading.Timer(0.107, key, [source]).start()
 
     answer, _ = present(press, url="memory:", answer_s=30.0)
-    # The question was asked between two frames.
+    # The question appeared between the last frame without it and the first frame with it.
     least_ns, most_ns = pressed_ns[0] - asked_ns[0], pressed_ns[1] - before_ns[-1]
     assert least_ns <= round(1e9 * answer.rt_s) <= most_ns
-    # Frames are 20 ms apart.
+    # The reaction time is not a multiple of the frame period, 20 ms.
     assert answer.rt_s % 0.02 > 1e-6
 
 
@@ -301,7 +301,7 @@ def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, present, t
 
 
 def test_a_board_that_cannot_keep_a_frequency_is_noted(changed, profile, tmp_path):
-    """A profile whose slots take longer than the period asked for."""
+    """The slots of this profile take longer than a period at 200 Hz."""
     slow = changed(profile, {"pulse.discharge_us": 5000})
     setup = Setup(slow, repetitions=1, train_s=0.1, rate_hz=200)
     sat = sit("detection", setup, load_bank(slow), tmp_path / "rows.csv", Silent())
@@ -320,7 +320,7 @@ def shown(rows):
 
 
 def respond(path, answers, most=1000, name="frequency", **options):
-    """Answer trials, as many as there are answers for; return whether it is over."""
+    """Answer at most ``most`` trials from a cyclic list; return whether the session is over."""
     setup = Setup(MOUSE, **{"standards": "30,60", "repetitions": 1, "trials": 8} | options)
     with open_experiment(name, setup, path, "p", "s") as sitting:
         trials = sitting.source()._trials
@@ -348,7 +348,7 @@ def test_stopped_and_killed_sessions_have_each_trial_once(
     assert respond(whole, answers, procedure=procedure)
     for stop in stops:
         respond(parts, answers, stop, procedure=procedure)
-        # Killed while a line was written: what is cut is lost, and its trial comes again.
+        # Simulate a kill during a write: the incomplete row is lost, and its trial is repeated.
         lines = parts.read_bytes()
         if lines.count(b"\n") > 1:
             last = lines.rindex(b"\n", 0, -1) + 1
@@ -359,7 +359,7 @@ def test_stopped_and_killed_sessions_have_each_trial_once(
 
 @pytest.mark.parametrize("other", [{"standards": "45"}, {"standards": "30", "trials": 4}])
 def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path, other):
-    """Trials of another standard, or more answers than there are trials."""
+    """A file with another standard, or with more answers than trials, is refused."""
     path = tmp_path / "rows.csv"
     own = {"standards": "30"} if "trials" in other else {}
     respond(path, ["1", "2"], procedure="questplus", **own)
