@@ -1,4 +1,4 @@
-"""The 8 x 8 array on a mouse, and textures to touch."""
+"""Profile of the electric mouse (8 x 8 electrodes), and textures as image files."""
 
 import math
 
@@ -13,16 +13,16 @@ from smarttouch.profile import load_profile
 
 @pytest.fixture(scope="session")
 def mouse():
-    """The electric mouse, millimeter by millimeter."""
+    """Return the profile electric-mouse; its frames show the area of the array at scale 1."""
     return profile_for_reading(load_profile("electric-mouse"))
 
 
 DPI = 254
-"""A tenth of a millimeter a pixel."""
+"""Resolution of the image files, dots per inch: 0.1 mm per pixel."""
 
 
 def grating_file(path, angle_deg, kind="square", noise=0.0):
-    """Draw a grating of 4 mm on 90 x 40 mm as an image, its ridges square, thin or faint."""
+    """Write a 90 x 40 mm image of a grating of 4 mm pitch; its ridges are square, thin or faint."""
     y, x = np.mgrid[:400, :900] / 10
     angle = math.radians(angle_deg)
     phase = (x * math.cos(angle) + y * math.sin(angle)) / 4
@@ -37,7 +37,7 @@ def grating_file(path, angle_deg, kind="square", noise=0.0):
 
 
 def object_file(path, kind):
-    """Draw a disc of 10 mm or a cross of 14 mm in the middle of 80 x 40 mm of paper."""
+    """Write an image of 80 x 40 mm with a disc of 10 mm or a cross of 14 mm in its middle."""
     image = np.full((400, 800), 255, np.uint8)
     if kind == "disc":
         cv2.circle(image, (400, 200), 50, 0, -1)

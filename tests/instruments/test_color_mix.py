@@ -1,4 +1,4 @@
-"""Mixing: each class keeps its own time, is delivered, and gets what it answers."""
+"""Mixtures: each class gets pulses at its own rate, with the drive of its receptors."""
 
 import numpy as np
 import pytest
@@ -38,10 +38,10 @@ def test_no_pulse_is_moved_by_more_than_half_of_the_shortest_sequence(times):
     begins, carried = merged([np.array(each, np.int64) for each in times], 5000)
     assert (np.diff(begins) >= 5000).all()
     for ideal, which in zip(times, carried, strict=True):
-        assert len(np.unique(which)) == len(ideal)  # every pulse is there, none together
+        assert len(np.unique(which)) == len(ideal)  # one sequence for each pulse
         assert (np.abs(begins[which] - ideal) <= 2501).all()
     used = np.unique(np.concatenate([np.empty(0, int), *carried]))
-    assert len(used) == len(begins)  # no sequence without a pulse
+    assert len(used) == len(begins)  # each sequence has a pulse
 
 
 def test_stimuli_are_within_limits_and_at_the_right_sites(profile, bank):
@@ -71,7 +71,7 @@ def test_a_vibrator_does_it_instead_of_pulses_of_pc(profile, bank):
     assert mixture.vibrated
     assert Afferent.PC not in mixture.ideal_us
     assert np.diff(mixture.time_us).max() <= 1.5 * VIBRATION_US
-    # Held at every stimulus, those of other classes too.
+    # All stimuli contain the PC drive, including stimuli for RA and SAI pulses.
     middle = (mixture.time_us > 100_000) & (mixture.time_us < 900_000)
     assert (mixture.drive[middle, Afferent.PC] > 0.8).all()
     assert mixture.pulses(Afferent.RA) == 29
@@ -128,7 +128,7 @@ def make_source(profile, bank):
 
 
 def asked(source, stretch=1.0):
-    """Return time and stimulus of each read, each sequence as much longer than asked."""
+    """Return time, µs, and stimulus of each read; sequences last ``stretch`` times their period."""
     frames, now_us = [], 0
     while (frame := source.read(now_us * 1000)) is not None:
         frames.append((now_us, frame))
@@ -160,7 +160,7 @@ def test_a_note_says_what_pc_costs_unless_a_vibrator_plays_it(profile, bank):
     source = open_vibration("tone:250Hz,1.5um", profile, seconds=0.5)
     (note,) = source.notes
     assert numbers_in(note) == [pytest.approx(bank.off_target[Afferent.PC].max(), abs=0.05)]
-    # Not only by the bank's word: the kernel's own activation of RA nodes is beyond PC's.
+    # Check the number in the note: this PC kernel activates RA more strongly than PC.
     kernel = bank.weights[Afferent.PC][35]
     assert bank.receptor[Afferent.PC][35] @ kernel == pytest.approx(1, rel=1e-5)
     assert 1 < (bank.receptor[Afferent.RA] @ kernel).max() < numbers_in(note)[0]
@@ -181,10 +181,10 @@ ALONE = {
     Afferent.SAI: ("press:0.45N", 25.0),
     Afferent.PC: ("tone:250Hz,1.5um", 125.0),
 }
-"""What drives one class, and the rate at which it pulses then: RA at every cycle, PC at every
-second one, SAI at half of its full rate under half of the full force."""
+"""Trace to which only this class responds, and its pulse rate, Hz: RA at every cycle, PC at every
+second cycle, SAI at half of its full rate for half of the full force."""
 LEVEL = 0.25
-"""Of the strongest: net current leaves PC its 125 Hz."""
+"""Intensity at which the limit of net current still allows PC pulses at 125 Hz."""
 
 
 @pytest.mark.parametrize("classes", [[each] for each in Afferent] + [list(Afferent)])
@@ -204,6 +204,6 @@ def test_what_is_mixed_is_sent_at_the_rate_and_drive_of_each_class(classes, prof
             assert (len(sent) - 1) / np.ptp(time_s) == pytest.approx(rate_hz, rel=0.01)
             drive = np.median([step.tactile.activation[afferent].max() for step in sent])
             answer = split_trace(open_trace(spec), sai_full_n=profile.force.full_n)[afferent]
-            # Each filter lets a little of the other class's vibration through.
+            # In a mixture, the filter of a class passes a little of the other class's vibration.
             within = 0.02 if len(classes) == 1 else 0.06
             assert drive == pytest.approx(np.median(answer.drive[2400:7200]), abs=within)

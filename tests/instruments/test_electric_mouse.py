@@ -1,4 +1,4 @@
-"""Pulses that are asked for, and delivered: how often, where, and when not."""
+"""Electric mouse: rate and place of its pulses, and motions that evoke no pulses."""
 
 import math
 from itertools import count, takewhile
@@ -31,7 +31,7 @@ GRATING = open_texture("grating:4mm")
 
 
 class Played(HandMotion):
-    """Is where the test says, frame by frame."""
+    """Motion through the places of a list, one place for each frame."""
 
     def __init__(self, places, resolution_mm=0.0, force_n=None):
         super().__init__("a test")
@@ -51,7 +51,7 @@ def frames_of(source):
 
 
 def pulses(source):
-    """Read a source to its end; return what it asked of its class, (frames, E)."""
+    """Read a source to its end; return the activation of its class, (frames, E)."""
     return np.array([each.activation[source.mode.afferents[0]] for each in frames_of(source)])
 
 
@@ -71,7 +71,7 @@ def test_each_electrode_pulses_spatial_frequency_times_speed_up_to_a_bound(mouse
         left_out, most_hz = numbers_in(source.notes[0])
         assert left_out > 0
         assert most_hz == 50
-        # Of frames 10 ms apart at most every second one.
+        # The limit is 50 Hz, so an electrode never pulses in two successive frames of 10 ms.
         assert not (asked[1:] * asked[:-1]).any()
 
 
@@ -81,7 +81,7 @@ WAYS = [("right", "disc"), ("to and fro", "disc"), ("left", "cross"), ("bent", "
 
 @pytest.mark.parametrize(("way", "kind"), WAYS)
 def test_an_object_stays_put_while_the_hand_moves(tmp_path, mouse, kind, way):
-    """Pulses come where its ink is, all over it, whatever way the hand goes."""
+    """Pulses come over the whole inked area and nowhere else, on any path of the hand."""
     time_s = np.linspace(0, 2, 201)
     turn = math.pi * time_s
     x, y = {
@@ -101,7 +101,7 @@ def test_an_object_stays_put_while_the_hand_moves(tmp_path, mouse, kind, way):
     size_mm = 10 if kind == "disc" else 14
     assert (places.min(axis=0) + places.max(axis=0)) / 2 == pytest.approx([40, 20], abs=0.7)
     assert np.ptp(places, axis=0) == pytest.approx([size_mm, size_mm], abs=2.5)
-    # A pulse comes a frame late at most, 0.9 mm at that speed.
+    # A pulse is late by at most a frame, in which the fastest hand moves 0.9 mm.
     ink = 255 - texture.draw(0, 0, (400, 800), 0.1)
     near = [ink[max(0, r - 9) : r + 10, c - 9 : c + 10].max()
             for c, r in (places * 10).astype(int)]  # fmt: skip
@@ -109,14 +109,14 @@ def test_an_object_stays_put_while_the_hand_moves(tmp_path, mouse, kind, way):
 
 
 def test_at_rest_nothing_is_felt(mouse):
-    """Ten seconds of jitter by a count along both axes, wherever the ridges are."""
+    """Ten seconds of jitter, by one count of the mouse along each axis, evoke no pulse."""
     random = np.random.default_rng(4)
     count_mm = 25.4 / 800
     for texture in (GRATING, open_texture("grating:0.5mm,20deg")):
         jumps = count_mm * random.integers(-1, 2, (1000, 2))
         source = MouseSource(texture, Played([(0, 0), *jumps], count_mm), mouse, press_n=1.0)
         assert pulses(source).sum() == 0
-        # Also where it comes to rest after a way.
+        # The same holds after the hand has moved and come to rest.
         there = [(0.4 * k, 0.1 * k) for k in range(100)]
         way = [*there, (39.6, 9.9), (39.6, 9.9), *(jumps + np.array([39.6, 9.9]))]
         source = MouseSource(texture, Played(way, count_mm), mouse, press_n=1.0)
@@ -205,7 +205,7 @@ def grating(profile):
 
 
 def poses(run):
-    """Return where the hand has been, rounded to millimeters."""
+    """Return all positions of the hand so far, rounded to mm."""
     return {
         (round(each.input.pose.x_mm), round(each.input.pose.y_mm))
         for each in [*run.results.values()]

@@ -1,4 +1,4 @@
-"""Motions of the hand: by itself, along a recorded way, by a sensor."""
+"""Motions of a hand: virtual strokes, a recorded path, the pose of a sensor, a mouse."""
 
 import os
 import sys
@@ -49,7 +49,7 @@ def test_strokes_pass_every_electrode_over_all_of_a_texture(wide, high, across, 
     x, y = (motion._table[:, 1:] + (left, top)).T
     assert (x.min() + across / 2, x.max() - across / 2) == pytest.approx((0, wide))
     lanes = np.unique(np.round(y, 6))
-    # The array reaches from edge to edge, a little of a lane's height may be left over.
+    # The lanes cover the texture, except for 15 % of a lane's height at each edge.
     left_over = 0.15 * down + 1e-6
     assert lanes[0] - down / 2 <= left_over
     assert lanes[-1] + down / 2 >= high - left_over
@@ -101,7 +101,7 @@ CODES = SimpleNamespace(EV_SYN=0, EV_REL=2, REL_X=0, REL_Y=1, REL_WHEEL=8, SYN_D
 
 
 class FakeDevice:
-    """Events come through a pipe, one byte each to wake who waits."""
+    """Fake device of evdev; a byte in a pipe tells the reader that events are available."""
 
     moves = (0, 1, 8)
     error = None
@@ -140,7 +140,7 @@ class FakeDevice:
 
 @pytest.fixture
 def device(monkeypatch, tmp_path):
-    """Return a kind of device of which there is one, and its path."""
+    """Install a fake evdev module with one device; return the class of this device."""
     kind = type("Device", (FakeDevice,), {})
     path = tmp_path / "event7"
     path.touch()
@@ -162,7 +162,7 @@ def test_counts_become_millimeters_until_the_mouse_is_pulled_out(device):
         assert motion.notes == []
         device.latest.play((0, 3, 0), (0, 3, 0), (2, 1, 404))
         until(lambda: motion.read(0) == pytest.approx((1.0, 20.0)))
-        assert len(motion.notes) == 1, "events were lost, said once"
+        assert len(motion.notes) == 1, "a single note reports both losses"
         device.latest.pull_out()
         with raises(SourceLostError, value=device.place):
             until(lambda: motion.read(0) is None)
@@ -198,7 +198,7 @@ def test_what_is_no_mouse(device, monkeypatch):
     monkeypatch.setattr(sys.modules["evdev"], "list_devices", list)
     with raises(SourceError, value="/dev/input") as caught:
         open_motion("evdev:")
-    assert "usermod" in str(caught.value), "the group that may read it is to be joined"
+    assert "usermod" in str(caught.value), "no advice on how to get access"
     with raises(SourceError, value="/dev/input/none"):
         open_motion("evdev:/dev/input/none")
     with raises(SourceError, value=1, allowed=(10, 100_000)):

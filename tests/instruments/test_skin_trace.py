@@ -1,4 +1,4 @@
-"""Traces from files or a line, and what each class of receptors answers to them."""
+"""Traces from files or a line of text, and the response of each class of receptors."""
 
 import contextlib
 
@@ -104,7 +104,7 @@ def test_any_text_is_a_trace_or_refused(text):
 
 
 SILENT = 0.01
-"""Drive of a class that is said to be silent."""
+"""Largest drive of a class that counts as silent."""
 
 
 def drives(spec, seconds=2.0):
@@ -115,7 +115,7 @@ def drives(spec, seconds=2.0):
 
 
 @pytest.mark.parametrize(("spec", "alone"), [
-    ("tone:30Hz,11um", Afferent.RA),  # 4.9 dB above threshold
+    ("tone:30Hz,11um", Afferent.RA),  # 11 µm is 4.9 dB above the threshold
     ("tone:250Hz,1.7um", Afferent.PC),
     ("tone:250Hz,9um", Afferent.PC),
     ("press:1N", Afferent.SAI),
@@ -135,7 +135,7 @@ def test_a_slow_indentation_is_for_sai():
     held = slice(7000, 9000)
     assert np.allclose(answers[Afferent.SAI].drive[held], 775 / 1475, atol=0.01)
     assert answers[Afferent.PC].drive[held].max() == 0
-    # Both edges are felt by all.
+    # All classes respond to the edge, at 1 s.
     assert min(answers[each].drive[3900:4100].max() for each in Afferent) > 0.2
 
 

@@ -1,4 +1,4 @@
-"""The door for other programs: each request has an answer, and none breaks the run."""
+"""Runs that other programs control through a socket: even bad requests are answered."""
 
 import json
 import re
@@ -21,7 +21,7 @@ RING = [float(each in (18, 19, 20, 26, 28, 34, 35, 36)) for each in range(64)]
 
 
 class Client:
-    """A program that is connected."""
+    """Program that is connected to the socket of a run."""
 
     def __init__(self, path):
         with socket.socket(socket.AF_UNIX) as line:
@@ -42,7 +42,7 @@ class Client:
 
 @pytest.fixture
 def opened(tmp_path):
-    """Start a run that is steered through a socket."""
+    """Return a class; each object is a run that a socket controls."""
     doors = []
 
     class Door:
@@ -64,7 +64,7 @@ def opened(tmp_path):
             return self.clients[-1]
 
         def pulsed(self):
-            """Return the electrodes of each pattern that pulsed."""
+            """Return the active electrodes of each pattern that was sent, as a set of tuples."""
             rows = [each.tactile.activation for each in [*self.steps] if each.sequence.slots]
             return {tuple(np.flatnonzero(each.any(axis=0)).tolist()) for each in rows}
 
@@ -112,7 +112,7 @@ def test_the_newest_pattern_wins(opened):
     after = other.ask("status")
     assert after["patterns"] - before["patterns"] >= 64
     assert after["dropped"] > before["dropped"]
-    # Half a second without another one is nothing.
+    # A pattern ends after 0.5 s without a new pattern.
     until(door.silent)
 
 
