@@ -1,4 +1,4 @@
-"""Every ceiling stands in the documentation with its source."""
+"""The documentation lists every ceiling of a limit, with its value and source."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Profiles with electrodes from a table: of a file, an array or a command, and what is refused."""
+"""Profiles whose electrodes come from a file or an array, and parsing of electrode lists."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def table(tmp_path):
 
 
 def test_places_and_sizes_are_those_of_the_table(table):
-    """In its order, about their middle."""
+    """Electrodes keep the order of the table; positions are relative to the middle of the array."""
     electrodes = MOUSE.with_electrodes(table).electrodes
     np.testing.assert_allclose(electrodes.position_mm, PLACES - [2, 1.05])
     assert [size for _, (size, _) in electrodes.own] == [1 + 0.1 * each for each in range(6)]

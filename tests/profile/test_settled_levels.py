@@ -1,4 +1,4 @@
-"""Levels that a person keeps are logged, offered for the same finger and mode, and drawn."""
+"""Comfortable intensity levels are logged, and offered again for the same profile and mode."""
 
 import json
 
@@ -14,13 +14,13 @@ SECOND = 10**9
 
 
 class Run:
-    """A run of a person; its time goes on from one level to the next."""
+    """Run of a participant who keeps one level after another."""
 
     def __init__(self, profile, most=1.0):
         self.levels, self.time_ns = SettledLevels(profile, most), 0
 
     def keep(self, level, seconds, mode="RA", force_n=0.8, observed=()):
-        """Keep a level; return the offers."""
+        """Keep a level for a time; return the messages that offer an earlier level."""
         offers = []
         for _ in range(round(seconds * 10) + 1):
             offers.append(self.levels.note(self.time_ns, mode, level, force_n, observed))

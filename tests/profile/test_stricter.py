@@ -1,4 +1,4 @@
-"""A profile within the limits of another: of each number the stricter one holds."""
+"""Limits of one profile applied to another: of each limit, the stricter value holds."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def comfortable(profile, comfort_ma, threshold_ma=None):
     ],
 )  # fmt: skip
 def test_the_lower_limit_holds_whoever_has_it(profile, key, strict, wide):
-    """And the longer ramp."""
+    """The order of the profiles does not matter; of two ramps, the longer one is stricter."""
     one, other = (with_limits(profile, **{key: value}) for value in (strict, wide))
     assert getattr(stricter(other, one).limits, key) == strict
     assert getattr(stricter(one, other).limits, key) == strict
@@ -60,7 +60,7 @@ def test_currents_of_single_electrodes(profile):
 
 
 def test_limits_that_lower_the_pulse_lower_what_is_comfortable(profile):
-    """Charge, current and width of a pulse go together."""
+    """The shorter pulse and the lower comfort level apply together, within all limits."""
     shorter = profile.model_copy(
         update={
             "limits": profile.limits.model_dump() | {"pulse_us": 100.5, "charge_uc": 0.2},

@@ -1,4 +1,4 @@
-"""Profiles are found by name or file, or refused with file, key and remedy, all at once."""
+"""Profiles are loaded by name or file; an error names the file and all wrong keys at once."""
 
 import math
 import tomllib
@@ -22,7 +22,7 @@ from ..support.checks import raises
 
 @pytest.fixture
 def edited(tmp_path):
-    """Return a maker of profiles that differ from a shipped one in a few words."""
+    """Return a function that writes the profile electric-mouse with some words replaced."""
 
     def edit(*changes):
         text = profile_path("electric-mouse").read_text("utf-8")
@@ -246,14 +246,14 @@ def test_shipped(name):
     assert len(profile.electrodes) == ELECTRODES[name] == len(profile.threshold_ma)
     assert len(profile.driven) == ELECTRODES[name]
     distance = profile.electrodes.distance_mm + np.eye(ELECTRODES[name]) * 1e9
-    # A ring's middle is where its disc is: what is a pitch away is the middle of its metal.
+    # Ring and disc have the same center: the pitch is the mean radius of the ring's metal.
     nearest_mm = (8 + 6) / 4 if name == "concentric" else distance.min()
     assert profile.electrodes.pitch_mm == pytest.approx(nearest_mm)
     assert profile.electrodes.position_mm.mean(axis=0) == pytest.approx([0, 0])
 
 
 def test_hexagon_order_is_the_board_s():
-    """Index rises as x falls and as y falls (y up): 0 at (.5, .866), 60 at (-.5, -.866)."""
+    """The index increases with falling x and falling y (y up), from (.5, .866) to (-.5, -.866)."""
     electrodes = load_profile("kajimoto-61").electrodes
     unit = electrodes.position_mm / (4 * electrodes.pitch_mm) * [1, -1]
     assert unit[0] == pytest.approx([0.5, math.sqrt(3) / 2])
