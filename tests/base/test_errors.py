@@ -1,4 +1,4 @@
-"""Checks that numbers are in their ranges, and names among their choices."""
+"""Checks that numbers lie within ranges."""
 
 import math
 from contextlib import nullcontext
@@ -14,7 +14,7 @@ from ..support.checks import raises
     *((value, 1, 4, False, True) for value in (1, 2.5, 4)),
     *((value, 1, 4, False, False) for value in (0.999, 4.001, -math.inf, math.inf)),
     (math.nan, -math.inf, math.inf, False, False),
-    # Without its lower end.
+    # With ``above``, the lower end does not belong to the range.
     (1e-9, 0, 1, True, True),
     (0, 0, 1, True, False),
 ])  # fmt: skip

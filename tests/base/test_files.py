@@ -1,4 +1,4 @@
-"""Paths of users are opened only if they are files, and read no further than a limit."""
+"""Users' files: only regular files up to a size are read; writing is atomic and private."""
 
 import errno
 import os
@@ -146,7 +146,7 @@ def test_a_device_is_not_replaced_by_a_file(tmp_path, pipe):
 
 @pytest.fixture
 def umask():
-    """Let new files be readable and writable by all, if nothing else is asked for."""
+    """Set the umask to 0: new files are open to everybody unless the program sets a mode."""
     before = os.umask(0)
     yield
     os.umask(before)
@@ -184,7 +184,7 @@ def test_folders_are_for_their_owner_alone(tmp_path, umask):
 
 
 def test_a_lock_on_a_file_that_was_removed_keeps_nobody_out(tmp_path, monkeypatch):
-    """Removed by its holder between opening and locking: the next one has the new file."""
+    """If the holder removes the file before it is locked, a new file is opened and locked."""
     path, flock = tmp_path / "lock", module.fcntl.flock
     path.write_bytes(b"old")
     removed = []

@@ -1,4 +1,4 @@
-"""Ports are opened, or the reason is one a user can act on."""
+"""Ports: opening by name, identity of the device, and writes before a deadline."""
 
 import contextlib
 import os
@@ -46,7 +46,7 @@ def test_short_writes_over_tcp_do_not_wait(scheme):
 
 @pytest.fixture
 def plugged(tmp_path, usb_ports):
-    """Return a maker of devices at one name, each with its USB description, and their far ends."""
+    """Return a function that plugs in a device and returns its port name and the device's end."""
     ends, name = [], tmp_path / "port"
 
     def plug(**usb):
@@ -108,7 +108,7 @@ def test_the_same_device_is_waited_for_while_another_is_there(plugged):
     with open_port(name) as port:
         identity = identity_of(port)
     plugged(**KNOWN | {"serial_number": "7"})
-    # At another place of the bus, and under another system name: it is the same.
+    # At another USB port and under another system name, it is still the same device.
     back = threading.Timer(0.2, plugged, kwargs=KNOWN | {"location": "3-4:1.0"})
     back.start()
     with reopen_port(name, 20, identity) as port:
@@ -117,7 +117,7 @@ def test_the_same_device_is_waited_for_while_another_is_there(plugged):
 
 
 class Pipe:
-    """The port of a pipe."""
+    """Port that writes to a pipe."""
 
     def __init__(self):
         self.end, self._number = os.pipe()
@@ -175,7 +175,7 @@ def test_a_line_that_takes_nothing_is_a_fault(pipe):
 
 
 def test_what_had_to_wait_for_the_line_is_looked_at_again(pipe):
-    """It was in time when it began to wait, and is too late when there is room."""
+    """A packet whose deadline passes while the line is full is not written."""
     fill(pipe)
     times = iter([0, 6])
 
@@ -203,7 +203,7 @@ def test_waiting_for_a_port_ends_when_the_waiter_is_stopped():
 def test_bytes_that_another_program_has_taken_are_no_loss(monkeypatch):
     line = PtyLine()
     port = open_port(line.name)
-    # Bytes had come when it looked.
+    # `select` reports bytes, but another program has taken them before the read.
     monkeypatch.setattr("select.select", lambda *_: ([port], [], []))
     assert read_some(port) is None
     line.close()

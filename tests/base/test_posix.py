@@ -1,4 +1,4 @@
-"""Real-time priority is taken where it is allowed, and given back."""
+"""Real-time priority: raised within a block, if the user is allowed to, and then restored."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ def is_prioritized():
 
 
 def in_a_thread(work):
-    """Return what a fresh thread finds: one whose priority no test has changed."""
+    """Return the result of ``work`` in a new thread, whose priority no test has changed."""
     found = []
     thread = threading.Thread(target=lambda: found.append(work()))
     thread.start()

@@ -1,4 +1,4 @@
-"""Sources and boards by URL, also of other packages, and the options in a URL."""
+"""Sources and boards by URL, including those of other packages, and options in URLs."""
 
 from collections.abc import Sequence
 from importlib.metadata import entry_points
@@ -61,11 +61,11 @@ def limits(profile):
 
 @pytest.fixture
 def installed(tmp_path, monkeypatch, request):
-    """Return an installer of one module under an entry-point group; its name is `mine`."""
+    """Return a function that installs a package with one entry point, named `mine` by default."""
     monkeypatch.syspath_prepend(tmp_path)
 
     def put(text, group="smarttouch.boards", target="Mine", package="their-board", name="mine"):
-        # Modules stay imported: each test has its own.
+        # Imported modules stay loaded, so each test needs a module of its own.
         module = f"{package}_{abs(hash(request.node.name))}".replace("-", "_")
         install(tmp_path, package, {group: {name: f"{module}:{target}"}}, {module: text})
 
@@ -120,7 +120,7 @@ def test_what_is_no_source_is_refused(installed, profile, group):
 
 
 def test_a_board_of_others_may_have_a_finger_on_it(installed, limits):
-    """Whatever its driver says of itself."""
+    """A driver's attributes cannot exempt its board from the rules for boards on a finger."""
     installed(BOARD + "    on_a_finger, simulated_time, claimed_time = False, True, True\n")
     board = make_board("mine:", limits)
     assert (board.on_a_finger, board.simulated_time, board.announced) == (True, False, True)
