@@ -1,4 +1,4 @@
-"""Any kind of image becomes the same grey picture, as a page and as a frame."""
+"""Image files of any kind give the same gray levels, as a page and as a frame."""
 
 import io
 import zlib
@@ -21,7 +21,7 @@ INK = 255 - PRINT
 
 
 def deep(bits, color=False, picture=PRINT):
-    """Return a writer of the print with the given bits, in 16."""
+    """Return a function that writes the sample print with a depth of ``bits`` in 16-bit pixels."""
 
     def write(path):
         levels = np.rint(picture * ((2**bits - 1) / 255)).astype(np.uint16)
@@ -35,7 +35,7 @@ def pillow(make, **options):
 
 
 def on_transparent(*colors):
-    """Return a maker of print without a ground; each color has its share of the width."""
+    """Return a function that makes print in these colors, side by side, on transparent ground."""
 
     def make():
         pixels = np.zeros((*PRINT.shape, 4), np.uint8)
@@ -48,7 +48,7 @@ def on_transparent(*colors):
 
 
 def clear_palette():
-    """White print of a palette whose other entry is transparent."""
+    """Return white print in a palette image, whose palette entry 0 is saved as transparent."""
     image = Image.fromarray((INK > 127).astype(np.uint8), "P")
     image.putpalette([0, 0, 0, 255, 255, 255])
     return image
@@ -61,7 +61,7 @@ def turned(values, orientation):
 
 
 def deep_and_turned(path):
-    """Write 16 bits in color, and the tag that turns them in a chunk of its own."""
+    """Write a rotated 16-bit color PNG, with an eXIf chunk that states its orientation."""
     deep(16, color=True, picture=np.rot90(PRINT))(path)
     exif = Image.Exif()
     exif[0x0112] = 6
@@ -76,7 +76,7 @@ def deep_on_clear(path):
 
 
 def white_is_zero(path):
-    """Write 12 bits in 16 of a TIFF in which 0 is white."""
+    """Write a TIFF with 12-bit levels in 16-bit pixels, in which 0 is white."""
     tags = TiffImagePlugin.ImageFileDirectory_v2()
     tags[262] = 0
     Image.fromarray(INK.astype(np.uint16) * 16).save(path, tiffinfo=tags)
@@ -134,7 +134,7 @@ def test_a_page_and_a_frame_of_any_kind(profile, tmp_path, name):
         frame = source.read(0).image
     np.testing.assert_array_equal(page, frame)
     assert page.shape == PRINT.shape
-    # Palettes and lossy kinds have fewer levels.
+    # Palettes and lossy formats do not keep all gray levels.
     coarse = ("palette", "two-levels", "animation", "on-its-side.jpg")
     most = 128 if name.startswith(coarse) else 2
     assert np.abs(page.astype(int) - PRINT).max() <= most
@@ -153,7 +153,7 @@ def test_print_of_any_color_is_seen(ink, ground):
 
 
 def test_print_of_several_colors_is_seen():
-    """Luma would show the yellow print by 40 of its 205 levels."""
+    """Luma would reduce the contrast of the yellow print from 205 to 45 levels."""
     colors = [(0, 0, 0), (230, 57, 57), (140, 200, 255), (255, 218, 50)]
     share = INK[..., None] / 255
     lines = [np.rint(255 - share * np.subtract(255, color)) for color in colors]
@@ -204,7 +204,7 @@ def test_colors_that_nobody_sees_do_not_count():
 @pytest.mark.parametrize("light", [True, False])
 @pytest.mark.parametrize("around", [4, 200])
 def test_a_picture_with_print_goes_on_around_itself(light, around):
-    """As of a window with a transparent frame, however large."""
+    """A transparent frame around a window gets the window's background, at any width."""
     window = np.dstack([PRINT if light else INK] * 3 + [np.full_like(PRINT, 255)])
     grey = GreyConverter().convert(np.pad(window, ((around, around), (around, around), (0, 0))))
     assert (grey[:around] == (255 if light else 0)).all()
@@ -212,7 +212,7 @@ def test_a_picture_with_print_goes_on_around_itself(light, around):
 
 
 def test_frames_stay_comparable():
-    """A darker image of one source is darker; a brighter one raises white for all that follow."""
+    """A darker image stays darker; a brighter image raises the white level of later images."""
     converter = GreyConverter()
     levels = [
         int(converter.convert(np.full((8, 8), level, np.uint16)).max())
@@ -222,7 +222,7 @@ def test_frames_stay_comparable():
 
 
 def test_frames_keep_their_ground():
-    """Also those of which most is print."""
+    """The background of the first frame also applies to a frame that is mostly print."""
     converter = GreyConverter()
     for alpha, grey in ((INK, PRINT), (PRINT, INK)):
         clear = np.dstack([np.zeros_like(INK), alpha])
@@ -249,9 +249,9 @@ def test_no_pixels_are_too_much(pixels):
     ([2, 2], [0, 1]), ([0, 1, 1], [0]), ([2, 4, 2], [0, 2]), ([1, 1], [0, 1]), ([None], [0]),
 ])  # fmt: skip
 def test_copies_and_masks_of_a_tiff_are_no_pages(tmp_path, kinds, pages):
-    """Bits of NewSubfileType: 1 for a smaller copy, 2 for a page of many, 4 for a mask."""
+    """Bits of NewSubfileType mark images: 1 for a thumbnail, 2 for a page, 4 for a mask."""
     path, data = tmp_path / "pages.tif", io.BytesIO()
-    # Of a file that it has closed itself, Pillow's writer seeks the end once more.
+    # Write to memory: given a path, Pillow's writer seeks in a file that it has closed.
     with TiffImagePlugin.AppendingTiffWriter(data, True) as file:
         for number, kind in enumerate(kinds):
             tags = TiffImagePlugin.ImageFileDirectory_v2()

@@ -1,4 +1,4 @@
-"""Each electrode sees its own aperture, whole and without aliasing."""
+"""Each electrode sees the mean of its whole aperture, without aliasing."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def changed(profile, **optics):
 
 
 def felt(registration, ink):
-    """Return the mean of ink, 0 to 255, under each electrode, (E,) in [0, 1]."""
+    """Return the mean of an ink mask, 0 to 255, under each electrode, (E,) in [0, 1]."""
     pixel, share = registration.apertures
     return (ink.ravel()[pixel] * share).sum(axis=0)
 
@@ -38,7 +38,7 @@ def test_every_electrode_of_every_profile_is_in_the_field(name):
 
 
 def test_rotation_and_offset(profile):
-    """A dot at the right of the field lands below the center for a sensor turned by 90°."""
+    """A sensor turned by 90° shows a dot on the right at the bottom; an offset shifts the dot."""
     ink = np.zeros((64, 64), np.uint8)
     ink[28:36, 56:64] = 255
     turned = Registration(profile.electrodes, changed(profile, rotation_deg=-90.0), (64, 64))
@@ -52,7 +52,7 @@ def test_rotation_and_offset(profile):
 
 
 def flat(optics, **changes):
-    """The homography of an upright camera, as field of view, rotation and offset have it."""
+    """Return optics with a homography equivalent to their field of view, rotation and offset."""
     across = optics.sensor_columns / optics.field_width_mm
     down = optics.sensor_rows / optics.field_height_mm
     turn = np.radians(optics.rotation_deg)
@@ -75,7 +75,7 @@ def test_an_upright_homography_is_field_rotation_and_offset(name, shape):
     optics = changed(profile, rotation_deg=12.0, offset_x_mm=0.3, offset_y_mm=-0.2)
     shape = shape or (optics.sensor_rows, optics.sensor_columns)
     plain = Registration(profile.electrodes, optics, shape)
-    # Nothing but the homography is looked at where there is one.
+    # A homography replaces rotation and offset, so wrong values must have no effect.
     wrong = {"rotation_deg": -90.0, "offset_x_mm": 9.0, "offset_y_mm": 9.0}
     by_matrix = Registration(profile.electrodes, flat(optics, **wrong), shape)
     assert by_matrix.working_shape == plain.working_shape
@@ -84,7 +84,7 @@ def test_an_upright_homography_is_field_rotation_and_offset(name, shape):
 
 
 def test_each_cell_is_a_quadrilateral_to_a_tilted_camera(profile):
-    """Against polygons filled at 16 times the resolution."""
+    """Apertures agree with polygons that are filled at 16 times the resolution."""
     import cv2
 
     matrix = np.array([[9.5, 1.2, 31.0], [-0.8, 9.9, 29.0], [0.012, -0.03, 1.0]])
@@ -118,7 +118,7 @@ def test_a_homography_that_is_none(profile, matrix):
     ("rows", "columns"), [(480, 640), (128, 64), (64, 128), (192, 64), (320, 192), (1024, 1536)]
 )
 def test_each_working_pixel_is_the_mean_of_its_part(profile, rows, columns):
-    """However it is reached, to the rounding of each average on the way."""
+    """Averaging in several steps adds only the rounding error of each step."""
     image = np.random.default_rng(0).integers(0, 256, (rows, columns), np.uint8)
     registration = Registration(profile.electrodes, profile.optics, (rows, columns))
     down, across = np.array(image.shape) // registration.working_shape

@@ -1,4 +1,4 @@
-"""Ink is found, paper and noise stay silent, what moves drives RA; prepared frames are taken."""
+"""Ink causes activation, paper and noise do not; changes drive RA, lasting ink drives SAI."""
 
 import cv2
 import numpy as np
@@ -27,7 +27,7 @@ def mapped(profile, image, tone=None):
 
 @pytest.fixture
 def shades(profile):
-    """Columns of cells whose ink grows from none to all."""
+    """Return a profile and an image in which ink increases from column to column of electrodes."""
     profile = profile_for_reading(profile)
     cell = np.repeat(np.linspace(255, 0, 8).round().astype(np.uint8), 8)
     return profile, np.tile(cell, (64, 1))
@@ -48,7 +48,7 @@ def test_exactly_the_part_asked_for_is_enough(profile):
 
 
 def test_faint_ink_counts_only_where_frames_are_prepared(profile):
-    """A sensor's image of this little contrast is blank paper."""
+    """A sensor's image with so little contrast counts as blank paper."""
     profile = profile_for_reading(profile)
     image = np.full((64, 64), 255, np.uint8)
     image[:, :32] = 230
@@ -69,7 +69,7 @@ def share(mask):
 
 
 def bars(level, noise, seed=0):
-    """Return a patch of unevenly lit paper with bars of ink, and where these are."""
+    """Return an image of unevenly lit paper with bars of ink, and the mask of these bars."""
     y, x = np.mgrid[:64, :64]
     ink = (x % 16 < 4) & (y > 8) & (y < 56)
     light = 230 * (1 - 0.08 * (((x - 32) / 32) ** 2 + ((y - 32) / 32) ** 2) / 2)
@@ -135,7 +135,7 @@ def test_a_finger_over_paper_without_print_gets_nothing(binarizer, name):
     shares, time_ns = [], 0
     for y in range(0, page.shape[0] - 64, 96):
         for x in range(page.shape[1] - 64, 0, -24):
-            # Lifted on the way to the next row.
+            # The finger is lifted on the way to the next row.
             patch = np.ascontiguousarray(page[y : y + 64, x : x + 64])
             shares.append(share(binarizer.ink(patch, time_ns, touching=x < page.shape[1] - 64)))
             time_ns += SECOND // 20
@@ -153,7 +153,7 @@ def test_dimming_light_and_a_darker_place_to_land_stay_silent(binarizer):
 @pytest.mark.parametrize(("ink", "seen"), [(30, 1.0), (70, 0.0)])
 def test_only_a_black_area_is_ink(binarizer, patch, ink, seen):
     binarizer.ink(patch(0, 0), 0, True)
-    for tenth in (1, 10):  # the white outlasts it
+    for tenth in (1, 10):  # the white level of the first frame still counts
         assert share(binarizer.ink(patch(0, 64, ink=ink), tenth * SECOND // 10, True)) == seen
     half = binarizer.ink(patch(0, 40, ink=ink), SECOND, True)
     assert share(half[:, :36]) == seen
@@ -166,7 +166,7 @@ def test_bold_strokes_of_grey_print_are_ink_and_tiny_frames_work(binarizer, patc
 
 
 def follow(drive, images, touching=True, start_ns=0):
-    """Drive with an image every 20 ms; return RA and SAI, (T, E) each."""
+    """Pass the ink of each electrode every 20 ms; return activation of RA and SAI, (T, E) each."""
     rows = []
     for step, ink in enumerate(images):
         activation = np.zeros((3, len(ink)), np.float32)
@@ -186,7 +186,7 @@ def test_a_step_is_a_change_and_then_stays():
     assert sai[10, 0] == 0
     assert not ra[30:50].any()
     assert (sai[30:50] > 0.95).all()
-    # On leaving it is a change again, and at once no longer sustained.
+    # RA responds to ink that leaves; SAI stops at once.
     assert ra[50, 0] == pytest.approx((LEAVING - FAINTEST_CHANGE) / (1 - FAINTEST_CHANGE), abs=0.01)
     assert not sai[50:].any()
     assert not ra[75:].any()
