@@ -1,4 +1,4 @@
-"""Steps of real runs, and recordings of them."""
+"""Fixtures: steps of a pipeline, and recordings of these steps."""
 
 from dataclasses import asdict, replace
 from io import BytesIO
@@ -23,7 +23,7 @@ STARTED_NS = 1_700_000_000 * 10**9
 
 @pytest.fixture(scope="session")
 def goldens():
-    """The recordings that are kept."""
+    """Return the paths of all recordings in ``tests/running/goldens``."""
     found = sorted((Path(__file__).parent / "goldens").glob("*.mcap"))
     assert len(found) >= 4
     return found
@@ -31,13 +31,13 @@ def goldens():
 
 @pytest.fixture(scope="session")
 def golden(goldens):
-    """Return a finder of goldens by their names."""
+    """Return a function that finds a golden recording by its name."""
     return {path.stem: path for path in goldens}.__getitem__
 
 
 @pytest.fixture
 def cut(recording, tmp_path):
-    """The short recording without its end."""
+    """Return the path of a copy of ``recording`` without the last 3000 bytes."""
     path = tmp_path / "cut.mcap"
     path.write_bytes(recording.read_bytes()[:-3000])
     return path
@@ -45,7 +45,7 @@ def cut(recording, tmp_path):
 
 @pytest.fixture(scope="session")
 def settings():
-    """Settings of a plain run."""
+    """Return the settings of a run in mode RA, as recordings store them."""
     return {
         "mode": "RA", "rate_hz": None, "light_on_dark": False, "softness": None, "hold": None,
         "balance": False, "timing": asdict(ScanTiming()), "compliance_v": None,
@@ -60,7 +60,7 @@ def about(profile, settings):
 
 @pytest.fixture(scope="session")
 def make_steps(profile, bank):
-    """Return a maker of steps: a bar that moves under a finger, each image seen twice."""
+    """Return a function that makes steps of a moving bar; every image is in two steps."""
 
     def make(count, period_ns=20_000_000):
         pipeline, rng = Pipeline(profile, bank, RunConfig(scan="points")), np.random.default_rng(1)
@@ -84,7 +84,7 @@ def steps(make_steps):
 
 @pytest.fixture(scope="session")
 def record(about):
-    """Return a writer of recordings from steps and events."""
+    """Return a function that writes steps and events to a recording."""
 
     def write(path, steps, events=(), about=about):
         recorder = Recorder(path)
@@ -101,17 +101,17 @@ def record(about):
 
 @pytest.fixture(scope="session")
 def recording(record, steps, tmp_path_factory):
-    """A short recording in several chunks."""
+    """Return the path of a short recording with many chunks."""
     path = tmp_path_factory.mktemp("recording") / "run.mcap"
     with pytest.MonkeyPatch.context() as patch:
-        # One for each step: what waits for no longer is not put together.
+        # With a chunk time of 0 s, each step and each event is a chunk.
         patch.setattr(writer_module, "CHUNK_S", 0.0)
         return record(path, steps, ["paused", "goes on"])
 
 
 @pytest.fixture(scope="session")
 def damaged(recording):
-    """Return a recording with one bit changed, in the middle of its middle chunk."""
+    """Return the bytes of ``recording`` with one flipped bit, in the middle of its middle chunk."""
     content = bytearray(recording.read_bytes())
     chunks = make_reader(BytesIO(content)).get_summary().chunk_indexes
     middle = chunks[len(chunks) // 2]

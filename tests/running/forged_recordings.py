@@ -1,4 +1,4 @@
-"""Recordings whose metadata and messages a test has changed."""
+"""Helpers to read the messages of a recording, change them, and write a new recording."""
 
 import json
 
@@ -9,7 +9,7 @@ from smarttouch.running.recording_format import digest_of
 
 
 def take_apart(path):
-    """Return a recording's metadata, and the topics, contents and indexes of its messages."""
+    """Return a recording's metadata, and topic, content, time and index of each message."""
     recording = RecordedRun(path)
     return recording.about, [
         (topic, json.loads(each.data), each.log_time, each.sequence)
@@ -18,7 +18,7 @@ def take_apart(path):
 
 
 def put_together(path, about, messages):
-    """Write a recording, with checksums and a digest that hold."""
+    """Write a recording from metadata and messages, with valid checksums and a valid digest."""
     about = about | {"digest": digest_of(about)}
     with path.open("wb") as file:
         writer, channels = Writer(file), {}

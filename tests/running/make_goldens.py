@@ -1,9 +1,9 @@
-"""Makes the recordings that replay is tested with: ``python -m tests.running.make_goldens``.
+"""Program that makes the recordings for replay tests: ``python -m tests.running.make_goldens``.
 
-With names it makes these alone: ``… shared ra``.
+Arguments name the recordings to make, for example ``shared ra``; the default is all of them.
 
-Each is a run over a printed page, into a board in memory, in simulated time. Make them anew only
-where sequences are meant to change, and say so.
+Each recording is a run over a line of print, on a board in memory, in simulated time. Make new
+recordings only after an intended change of sequences, and explain the change in the commit.
 """
 
 import sys
@@ -33,14 +33,16 @@ from ..support.scans import board_without_finger
 
 FOLDER = Path(__file__).parent / "goldens"
 IMAGES = 8
-"""In each, as of a camera that is slower than the loop: files stay small."""
+"""Number of images in a recording: the camera is slower than the loop, to keep files small."""
 BEGIN, END = 0.68, 0.94
-"""Of the way of the finger: most of the margin is left out."""
+"""Start and end of the recorded part of the finger's path, without most of the margin."""
 
 
 @dataclass(frozen=True)
 class Golden:
-    """One run, and what it is for; ``settings`` are those of `RunConfig`."""
+    """Run to record. ``settings`` are fields of `RunConfig`; ``wishes`` are states of the controls,
+    each with its start in s. The board is lost at sequence ``lost_at``. If ``has_stimuli``, the
+    source gives stimuli instead of frames."""
 
     name: str
     mode: Mode
@@ -51,7 +53,7 @@ class Golden:
     timing: ScanTiming = field(default_factory=ScanTiming)
     wishes: tuple[tuple[float, ControlState], ...] = ()
     lost_at: int | None = None
-    asks: bool = False
+    has_stimuli: bool = False
 
 
 GOLDENS = (
@@ -71,8 +73,8 @@ GOLDENS = (
         {"rate_hz": 20, "hold": "energy", "balance": True, "light_on_dark": True}, lost_at=14,
     ),
     Golden("pc", Mode.PC, "up", 1.0, {"rate_hz": 20}),
-    Golden("color", Mode.COLOR, "o", 0.9, asks=True),
-    # As --scan auto: kernels of RA are added up, those of SAI stand alone behind them.
+    Golden("color", Mode.COLOR, "o", 0.9, has_stimuli=True),
+    # Like scan=auto: RA points share slots, and SAI points follow in slots of their own.
     Golden(
         "shared", Mode.NATURAL, "m", 0.7, {"scan": SlotPolicy((Afferent.RA,))},
         wishes=((0.55, ControlState(Mode.RA)),),
@@ -80,8 +82,8 @@ GOLDENS = (
 )  # fmt: skip
 
 
-class Held(Source):
-    """A sensor whose images stay for a few looks."""
+class SlowCamera(Source):
+    """Sensor that repeats each image in several frames; for stimuli, with random activation."""
 
     knows_force = True
 
@@ -99,16 +101,16 @@ class Held(Source):
             self._number = number
             inverted = "light_on_dark" in self._golden.settings
             self._image = 255 - found.image if inverted else found.image
-        if not self._golden.asks:
+        if not self._golden.has_stimuli:
             return Frame(self._image, time_ns, found.pose, found.force_n, self._number)
-        activation, period_us = self._asked(time_ns)
+        activation, period_us = self._random_stimulus(time_ns)
         return Stimulus(
             activation, time_ns, found.force_n, period_us, 0.8,
             pose=found.pose, number=self._number, image=self._image,
         )  # fmt: skip
 
-    def _asked(self, time_ns):
-        """Return all three classes here and there, each time for another while."""
+    def _random_stimulus(self, time_ns):
+        """Return activation of all classes at few electrodes, and a period of 20 to 40 ms."""
         random = np.random.default_rng(time_ns)
         activation = random.random((len(Afferent), 64), np.float32)
         activation[random.random(activation.shape) > 0.04] = 0
@@ -116,7 +118,7 @@ class Held(Source):
 
 
 class Script(Controls):
-    """A user who does the same at the same time in each run."""
+    """Controls that change at the times in a golden's ``wishes``."""
 
     def __init__(self, golden, *_):
         super().__init__(ControlState(golden.mode))
@@ -127,7 +129,7 @@ class Script(Controls):
 
 
 class GoldenDriver(MemoryDriver):
-    """A board in memory that can be lost once; where it matters it measures skin that dries out."""
+    """Board in memory that can be lost once, and that for ``hold`` measures rising impedance."""
 
     def __init__(self, golden, *given):
         super().__init__(*given)
@@ -150,7 +152,6 @@ class GoldenDriver(MemoryDriver):
 
 
 def make(golden, path):
-    """Record one."""
     profile = load_profile(golden.profile)
     board = board_without_finger(profile, partial(GoldenDriver, golden), simulated_time=True)
     config = RunConfig(
@@ -159,13 +160,13 @@ def make(golden, path):
     )  # fmt: skip
     with open_source(f"text:{golden.text}", profile) as page:
         Runner(
-            Held(page, golden), Display(board, profile), config, listeners=[Recorder(path)],
+            SlowCamera(page, golden), Display(board, profile), config, listeners=[Recorder(path)],
             controls=partial(Script, golden),
         ).run()  # fmt: skip
 
 
 def main(names):
-    # One chunk compresses better, and depends on no clock.
+    # A single chunk compresses better, and its content does not depend on the computer's speed.
     writer_module.CHUNK_S = 3600.0
     FOLDER.mkdir(exist_ok=True)
     for golden in GOLDENS:

@@ -1,8 +1,7 @@
-"""A program that records until it is killed, or until its disk is full: ``recorded_child.py PATH
-[BYTES]``.
+"""Program that records a run until it is killed: ``recorded_child.py PATH [BYTES]``.
 
-After every step that it handed over it tells the time of the step in ns and 0, and after every
-chunk 0 and how many steps the system has been given.
+A limit of BYTES for the file's size simulates a full disk. The program prints ``TIME_NS 0`` after
+each step, and ``0 STEPS`` after each sync, with the number of steps in the file.
 """
 
 import os
@@ -18,18 +17,18 @@ def main(path, most_bytes=None):
         resource.setrlimit(resource.RLIMIT_FSIZE, (int(most_bytes),) * 2)
     recorder, fsync = st.Recorder(path), os.fsync
 
-    def sync_and_tell(number):
+    def sync_and_print(number):
         fsync(number)
         os.write(1, f"0 {recorder._steps}\n".encode())
 
-    def tell(result):
+    def print_time(result):
         os.write(1, f"{result.input.time_ns} 0\n".encode())
 
-    os.fsync = sync_and_tell
+    os.fsync = sync_and_print
     try:
         st.run(
             "text:on and on and on?passes=0", "simulated:", paced=True, seconds=90,
-            listeners=[recorder, tell],
+            listeners=[recorder, print_time],
         )  # fmt: skip
     except RecordingError as error:
         print(error)

@@ -1,4 +1,4 @@
-"""The offline test: goldens come out again to the bit, and the smallest change is reported."""
+"""Tests of `check_recording`: golden recordings are reproduced, and small changes are reported."""
 
 import json
 import re
@@ -27,14 +27,14 @@ DIFFERENCE = re.compile(r": (\w+)\[\d+, (\d+)\] (-?\d+) recorded, (-?\d+) now")
 
 
 def with_weight(bank, afferent, site, electrode, by):
-    """Return a bank with one weight changed by a part of its kernel's peak."""
+    """Return a bank with one weight changed by ``by`` times the peak of its kernel."""
     weights = bank.weights[afferent].copy()
     weights[site, electrode] += by * np.abs(weights[site]).max()
     return replace(bank, weights={**bank.weights, afferent: weights})
 
 
 def strongest_slot(path):
-    """Return the step with a recording's greatest intensity, of its first mode, and a slot."""
+    """Return the step of highest intensity in the first mode, and the index of its last slot."""
     steps = list(RecordedRun(path).steps())
     steps = [each for each in steps if each.step.mode is steps[0].step.mode]
     best = max(
@@ -65,14 +65,14 @@ def test_goldens_hold_what_they_are_for(goldens):
     assert len(restarts) == 2
     proved = [each.step.sequence.proof for each in steps["shared"] if each.step.sequence.proof]
     assert max(int(each.points.max(initial=0)) for each in proved) >= 4
-    # RA shares slots, and SAI follows with a slot for each point, of which nothing is proved.
+    # RA points share slots. SAI points have slots of their own without proof, whose count is 0.
     assert any((each.points > 1).any() and not each.points.all() for each in proved)
 
 
 def test_one_weight_changed_by_a_thousandth_is_reported_with_its_place(goldens):
     for path in goldens:
         if path.stem == "regulated":
-            # Scaled by what all electrodes of a slot draw together, so that most of them move.
+            # With hold=energy, currents are scaled and rounded again, so many electrodes change.
             continue
         recorded, slot = strongest_slot(path)
         step = recorded.step
@@ -84,10 +84,10 @@ def test_one_weight_changed_by_a_thousandth_is_reported_with_its_place(goldens):
         report = check_recording(path, bank=with_weight(bank, afferent, site, electrode, 1e-3))
         assert not report.exact, path
         assert report.left_out == ""
-        # A whole µA at 2 mA; what has to sum to zero may move another electrode too.
+        # The change is a few µA. A second electrode may change to keep the sum of a slot at zero.
         found = [DIFFERENCE.search(line).groups() for line in report.differences]
         assert {what for what, *_ in found} == {"current_ua"}
-        # The first frames that differ are listed: this one, or earlier ones with the same site.
+        # The report lists only the first differences, which may be in earlier frames.
         place = f"frame {step.input.number} at {step.input.time_ns / 1e9:.3f} s"
         assert place in report.describe() or report.describe().endswith(" more")
         assert str(electrode) in {at for _, at, *_ in found}
@@ -121,7 +121,7 @@ def test_what_follows_a_gap_is_not_compared(damaged, tmp_path):
     report = check_recording(path)
     assert report.exact
     assert 2 < report.sequences < 38
-    # From what time on is told, and the time is that of a step before the end.
+    # The report names the time after which nothing was compared.
     (since_s,) = map(float, re.findall(r"(\d+\.\d) s", report.left_out))
     assert 0 < since_s < RecordedRun(path).seconds
     assert report.left_out in report.describe()
@@ -160,7 +160,7 @@ def test_the_fixture_for_users(golden, tmp_path):
         f"def test_same(replays):\n    replays({str(golden('ra'))!r})\n\n\n"
         f"def test_not(replays):\n    replays({str(empty)!r})\n"
     )
-    # As it is installed, or by its name where the installation is older than the plugin.
+    # Name the plugin explicitly if the installed package is too old to have its entry point.
     installed = entry_points(group="pytest11", name="smarttouch")
     plugin = [] if installed else ["-p", "smarttouch.testing.pytest_plugin"]
     done = subprocess.run(
@@ -173,7 +173,7 @@ def test_the_fixture_for_users(golden, tmp_path):
 
 @pytest.fixture(scope="module")
 def balance(profile, bank, make_steps):
-    """Return a maker of the usual steps, balanced by recharge phases from a carried charge on."""
+    """Return a function that makes steps with recharge phases, given the initial net charge."""
 
     def make(carried_pc=0):
         pipeline = Pipeline(profile, bank, RunConfig(scan="points", balance=True))
@@ -192,7 +192,7 @@ def balance(profile, bank, make_steps):
 
 @pytest.fixture
 def write(record, about, settings, tmp_path):
-    """Return a writer of the recording with other settings."""
+    """Return a function that records steps with changed settings."""
 
     def write(steps, name="run", **other):
         table = json.dumps({**settings, "balance": True, **other})

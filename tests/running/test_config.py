@@ -1,4 +1,4 @@
-"""Run configuration: what is possible, and whose points share slots."""
+"""Tests of the run configuration: allowed values, and the classes whose points share slots."""
 
 import pytest
 

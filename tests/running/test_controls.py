@@ -1,4 +1,4 @@
-"""The subject's own control stays between nothing and the ceiling."""
+"""Tests of the user's controls: level between 0 and its limit, pause, and modes."""
 
 import pytest
 

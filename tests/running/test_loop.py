@@ -1,4 +1,4 @@
-"""The loop ends in order, whatever happens in it, and keeps its phase against the board."""
+"""Tests of the loop: it ends at zero after any failure, and stays in phase with the board."""
 
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -30,7 +30,7 @@ MS, PERIOD_NS = 1_000_000, 20_000_000
 
 
 class FakeClock:
-    """Time that passes only when someone waits, and as much as is asked."""
+    """Clock that advances only in `wait_until`: to the deadline, plus a delay from a list."""
 
     def __init__(self, lateness_ns=()):
         self.time_ns = 5_000
@@ -51,7 +51,7 @@ class BrokenStageError(Exception):
 
 
 class Bars(OpticalSource):
-    """A sensor over a short black bar that moves: net current is no limit of its rate."""
+    """Sensor that sees a moving bar, so short that net current does not limit the rate."""
 
     def __init__(self, most=100, fails_at=None, **frame):
         super().__init__("bars")
@@ -75,7 +75,7 @@ class Bars(OpticalSource):
 
 
 class Watched(MemoryDriver):
-    """A driver in memory that notes what it is asked to do."""
+    """Driver in memory that records the calls of `open`, `zero` and `close`."""
 
     def __init__(self, *given):
         super().__init__(*given)
@@ -94,7 +94,7 @@ class Watched(MemoryDriver):
 
 @pytest.fixture
 def board(profile):
-    # However busy the machine is, nothing is late but what a test makes late.
+    # With a fake clock, a busy machine makes no sequence late.
     return board_without_finger(profile, Watched, clock=FakeClock())
 
 
@@ -105,7 +105,7 @@ def pipeline(profile, bank):
 
 @pytest.fixture
 def play(pipeline, board):
-    """Return a function that runs a source on a clock that the test sets: what it has left."""
+    """Return a function that runs a loop with a fake clock, and returns statistics and events."""
 
     def play(sensor, *listeners, board=board, clock=None, **options):
         run = SimpleNamespace(
@@ -149,17 +149,17 @@ def test_a_late_loop_moves_its_schedule_and_never_hurries(play):
 
 @pytest.mark.parametrize(("own_work", "first_ns"), [(False, 27 * MS), (True, 20 * MS)])
 def test_a_board_whose_clock_is_behind_is_followed(play, board, monkeypatch, own_work, first_ns):
-    """It waits once, and from then on takes its frames 7 ms later; own work is no wait."""
+    """After one wait for the board, deadlines are 7 ms later; processor time is not a wait."""
     clock, send = FakeClock(), board.driver.write
 
     def held_up(proved):
-        # Its scans begin 7 ms after their time: who asks earlier has to wait.
+        # The board begins scans 7 ms after the first deadlines, so earlier writes have to wait.
         phase = (clock.time_ns - 5_000 - 7 * MS) % PERIOD_NS
         clock.time_ns += 5 * MS if own_work else (PERIOD_NS - phase) * (phase > 10 * MS)
         return send(proved)
 
     monkeypatch.setattr(board.driver, "write", held_up)
-    # Real processor time means nothing beside this clock.
+    # Take processor time from the fake clock, too: all of its time, or none.
     monkeypatch.setattr("time.thread_time_ns", lambda: clock.time_ns * own_work)
     run = play(Bars(20), clock=clock)
     assert np.diff(clock.deadlines).tolist() == [first_ns] + [PERIOD_NS] * 19
@@ -186,7 +186,7 @@ def test_an_exception_in_any_stage_ends_at_zero(monkeypatch, play, pipeline, boa
 
 
 def test_a_board_that_was_lost_and_is_back_begins_at_zero(monkeypatch, play, board):
-    """Its step is followed, too, and the time that it took is no error of the period."""
+    """Listeners also receive the lost step; the time of the loss is not a period error."""
     send, clock, seen, words = board.driver.write, FakeClock(), [], "the board at x has vanished"
 
     def lose(proved):
@@ -223,14 +223,14 @@ def test_a_board_that_stays_lost_ends_the_run(monkeypatch, play, board):
 
 def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(play, board):
     def lift(sent):
-        # As a board would tell: all of what it was sent met an open circuit.
+        # Boards report a lifted finger if all pulses meet an open circuit.
         if 40 <= sent.number < 60 and sent.step.sequence.slots:
             board.lifted = True
 
     run = play(Bars(100), lift)
     found = run.intensities
     assert found[39:55] == [1] + [0] * 15
-    # 0.3 s later it tries once more, with next to nothing, and waits again.
+    # After 0.3 s the loop sends weak pulses, and stops because the finger is still lifted.
     assert 0 < max(found[55:60]) <= 0.05
     assert run.statistics.lifts == 2
     assert max(np.diff(found)) <= 0.0401
@@ -239,7 +239,7 @@ def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(play, b
 
 @pytest.mark.realtime
 def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
-    """By the voltages and the force that the board reports; it comes back from zero."""
+    """Voltages and force from the board show the lift; intensity then rises from zero again."""
     sent = []
     board = make_board(
         "emulator:", SafetyLimits.of(profile), profile.output, events=["0.9 lift", "1.5 touch"]
@@ -254,9 +254,9 @@ def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
     time_s = np.array([each.time_ns / 1e9 for each in sent])
     driven = np.flatnonzero(found)
     away = int(np.argmax(np.diff(time_s[driven])))
-    # It is lifted for 0.6 s, and told of a little later than put back.
+    # The finger is lifted for 0.6 s, but the board reports the lift later than the return.
     assert np.diff(time_s[driven])[away] > 0.3
-    # After a delay of the computer it may catch up by 100 ms.
+    # After a delay of the computer, the ramp may catch up by `LATE_NS`.
     rise_s = np.diff(time_s) + LATE_NS / 1e9
     assert np.all(np.diff(found) <= rise_s / profile.limits.ramp_s + 0.01)
     assert max(found[: driven[away]]) == 1
@@ -265,7 +265,7 @@ def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
 
 @pytest.mark.parametrize("unknown", ["stale", "force"])
 def test_what_is_not_known_has_no_current(play, unknown):
-    """From 0.8 to 1.2 s: then it rises from zero again."""
+    """Image or force is unknown from 0.8 to 1.2 s; then intensity rises from zero again."""
 
     def gone(time_ns):
         return 800 * MS <= time_ns < 1_200 * MS
@@ -283,9 +283,9 @@ def test_what_is_not_known_has_no_current(play, unknown):
 
 
 @pytest.mark.parametrize(("frame_n", "source_n", "board_n", "counts_n"), [
-    (1.0, 0.5, None, 0.5),  # a source of force comes before the frame
-    (1.0, 1.0, 0.5, 0.5),  # the board may lower what it says
-    (1.0, float("nan"), 1.0, None),  # and does not stand in for one that fails
+    (1.0, 0.5, None, 0.5),  # a force source replaces the force of the frame
+    (1.0, 1.0, 0.5, 0.5),  # the smaller force counts, here the board's
+    (1.0, float("nan"), 1.0, None),  # if the force source fails, the board's force does not count
     (float("nan"), None, 0.5, 0.5),
     (1.0, None, 0.05, 0.05),
 ])  # fmt: skip
@@ -319,7 +319,7 @@ def test_the_user_s_request_is_followed_and_reported(play, board):
         0.5, *[0] * 10, 0.25, 0, 0.25,
     ]  # fmt: skip
     assert intensity[50] <= 0.041
-    # Kernels of the other class: its center is cathodic.
+    # The center electrode of a kernel is anodic for RA and cathodic for SAI.
     was, now = (board.driver.sequences[at] for at in (79, 119))
     assert was.current_ua[0, was.site[0]] < 0 < now.current_ua[0, now.site[0]]
     assert [(time_ns // MS, words) for time_ns, words in run.told[:-1]] == [
@@ -345,10 +345,10 @@ def test_the_age_of_an_image_counts(play):
 def test_what_was_computed_before_a_pause_is_not_sent(
     monkeypatch, profile, play, pipeline, stalls, before
 ):
-    """The computer stands still between the making of a sequence and its sending; what happens
-    again and again is reported once."""
+    """If the computer stalls between computing and sending a sequence, the loop drops the sequence.
+    Repeated drops are reported once."""
     clock, process = FakeClock(), pipeline.process
-    # One without a time of its own is never late.
+    # On a board with claimed time no sequence is ever late.
     board = board_without_finger(profile, Watched, clock=clock, claimed_time=False)
 
     def stand_still(*given):
@@ -403,18 +403,18 @@ def test_priority_is_for_boards_whose_time_passes(
     assert (priority_advice() in [words for _, words in run.told]) is bool(on_a_finger)
 
 
-# -- the phase against a board: fresh images, no pauses, whatever the line takes
+# -- phase lock: images are fresh and the board does not pause, however slow the line is
 
 
 class Scanning:
-    """A board with a clock that runs ahead, which begins a sequence once the one before is over."""
+    """Board whose clock is 7 ms ahead; each sequence begins at the end of the one before."""
 
     def __init__(self, line_ns=MS // 5, period_ns=20 * MS, held_up_at=None, is_silent=False):
         self.line_ns, self.period_ns, self.held_up_at = line_ns, period_ns, held_up_at
         self.starts, self.free_ns, self.paused_ns, self.is_silent = {}, 0, 0, is_silent
 
     def send(self, number, sent_ns):
-        """Take a sequence, and return when it begins; by the loop's clock."""
+        """Receive a sequence, and return its start by the loop's clock."""
         here_ns = sent_ns + self.line_ns + 15 * MS * (number == self.held_up_at)
         begun_ns = max(self.free_ns, here_ns)
         self.paused_ns += begun_ns - self.free_ns
@@ -429,7 +429,8 @@ class Scanning:
 
 
 def followed(delays_ns, first_ns=0, **kind):
-    """Return what each sequence waited for, after so many delays from deadline to last byte."""
+    """Return each sequence's wait on the board, given its delay from deadline to last byte; also
+    the board and the statistics. ``first_ns`` is when the board becomes free."""
     board, statistics, zero_ns, waits_ns = Scanning(**kind), RunStatistics(), 0, []
     board.free_ns, phase = first_ns, PhaseLock(board, statistics)
     for number, delay_ns in enumerate(delays_ns):
@@ -455,7 +456,7 @@ def test_a_sequence_waits_no_longer_than_jitter_requires(jitter_ns):
     assert settled_ns.max() <= GUARD_NS + board.line_ns + jitter_ns
     assert np.median(settled_ns) <= GUARD_NS + board.line_ns + 0.6 * jitter_ns
     assert board.paused_ns < 0.002 * 200 * board.period_ns
-    # All but the newest, by the board's clock as the loop's.
+    # The newest sequence has not begun. Images are taken at least 4 ms before the last byte.
     assert statistics.waited.count == statistics.first_pulse.count == 199
     assert statistics.first_pulse.largest_us >= statistics.waited.largest_us + 4000
 
@@ -474,7 +475,7 @@ def test_a_hiccup_of_loop_or_board_is_made_up_for_within_ten_periods(
 @pytest.mark.parametrize("line_ns", [3 * MS, 12 * MS])
 def test_what_a_slow_line_takes_is_no_wait(line_ns):
     _, board, _ = followed(jitter(400, MS // 2), line_ns=line_ns)
-    # Else the rate would fall to where nothing ever waits.
+    # If transfer time counted as a wait, deadlines would move until the board has to pause.
     assert board.paused_ns < 0.01 * 400 * board.period_ns
 
 

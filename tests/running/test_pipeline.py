@@ -1,4 +1,4 @@
-"""Frame or stimulus in, safe sequence out, by what was measured, and nothing else remembered."""
+"""Tests of the pipeline: from frames, stimuli and measured voltages to safe scan sequences."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ SECOND_NS, PERIOD_NS = 10**9, 20_000_000
 
 @pytest.fixture(scope="session")
 def pipeline_of(profile, bank):
-    """Return a maker of pipelines with a slot for each point."""
+    """Return a function that makes pipelines with one slot for each point."""
 
     def make(mode=Mode.RA, timing=None, *, profile=profile, bank=bank, vibrated=False, **settings):
         config = RunConfig(mode=mode, scan="points", **settings)
@@ -46,7 +46,7 @@ def pipeline_of(profile, bank):
 
 @pytest.mark.parametrize("taller", [1, 7])
 def test_a_bar_fires_the_electrodes_over_it(pipeline_of, make_frame, patch, taller):
-    """Whatever the size of frames, which may change."""
+    """This holds for frames of any size, which can also change during a run."""
     pipeline = pipeline_of()
     pipeline.process(make_frame(patch(), 0))
     step = pipeline.process(make_frame(patch(24, 40).repeat(taller, 0), SECOND_NS))
@@ -88,7 +88,7 @@ def test_a_change_of_mode_begins_at_zero(pipeline_of, make_frame, patch):
         steps.append(pipeline.process(make_frame(patch(), index * PERIOD_NS)))
     assert [step.restarted for step in steps] == [i in (0, 60) for i in range(120)]
     assert [steps[at].sequence.intensity for at in (59, 60, 119)] == [1, 0, 1]
-    # What stays is felt by SAI alone.
+    # In natural mode a static image stimulates only SAI.
     assert not steps[-1].tactile.activation[RA].any()
     assert steps[-1].tactile.activation[SAI].any()
 
@@ -107,7 +107,7 @@ def test_modes_that_a_board_offers(pipeline_of):
     assert pipeline_of(timing=timing, profile=kit, bank=load_bank(kit)).offered() == (Mode.RA,)
 
 
-# -- stimuli get just the pulses that they ask for, within the same limits as everything
+# -- stimuli: pulses of the requested classes at the requested period, within all limits
 
 
 def asking(activation, period_us=20_000, time_ns=0, level=1.0, force_n=0.9, electrodes=64):
@@ -119,7 +119,7 @@ def asking(activation, period_us=20_000, time_ns=0, level=1.0, force_n=0.9, elec
 
 @pytest.fixture
 def settled(pipeline_of):
-    """Return a maker of pipelines at full intensity, whose next frame is at three seconds."""
+    """Return a function that makes pipelines at full intensity; their next input is at `NOW`."""
 
     def make(mode, **options):
         pipeline = pipeline_of(mode, **options)
@@ -145,7 +145,7 @@ def test_each_class_pulses_with_its_own_kernel_where_it_is_asked_for(profile, ba
 
 
 @pytest.mark.parametrize(("asked", "period_us", "slots"), [
-    # So weak that net current, all of one sign, leaves every rate to it.
+    # The level is so low that net current, which has one sign here, does not limit the rate.
     ({}, 7_000, 0), ({RA: (27,)}, 66_667, 1), ({RA: (27,)}, 22_222, 1), ({RA: (27,)}, 5_000, 1),
 ])  # fmt: skip
 def test_any_period_down_to_the_limit_is_kept(settled, asked, period_us, slots):
@@ -157,7 +157,7 @@ def test_pulses_that_do_not_fit_lengthen_the_period_with_a_note(profile, settled
     everything = {each: range(64) for each in Afferent}
     step = settled(Mode.COLOR).process(asking(everything, 10_000, NOW))
     assert step.asked_us == 10_000
-    # PC of the last row would have to be stimulated below it: its 8 points have no slot.
+    # PC is stimulated below the place where it is felt: the 8 points of the last row have no slot.
     assert step.sequence.slots == 3 * 64 - 8
     assert step.sequence.period_us >= step.sequence.slots * 300
     prove_alone(profile, step.sequence)
@@ -200,11 +200,11 @@ def test_a_vibrator_takes_pc_over(profile, settled):
 
 
 def test_a_sensation_is_placed_at_the_receptor(profile, settled, changed):
-    """A sensation at a place is stimulated where its axons run (Section III-B.4)."""
+    """PC is felt at the receptor, but stimulated where its axons run (paper, Section III-B.4)."""
     shifted = changed(profile, {"perception.pc_shift_mm": (0.0, -2.0)})
     pipeline = settled(Mode.COLOR, profile=shifted, bank=load_bank(shifted))
     sequence = pipeline.process(asking({PC: (27, 60), RA: (27,)}, time_ns=NOW)).sequence
-    # Felt 2 mm above where it is stimulated; below the last row there is nothing to stimulate.
+    # PC at 27 is stimulated 2 mm lower, at 35. PC at 60 has no electrode below it.
     assert sequence.site.tolist() == [27, 35]
 
 
@@ -212,7 +212,7 @@ BRIGHTER_NS = 1_200_000_000
 
 
 class Brighter(StimulusSource):
-    """One electrode: weak pulses, and then the strongest."""
+    """Source of pulses on one electrode: weak ones until `BRIGHTER_NS`, then the strongest."""
 
     knows_force = True
 
@@ -233,7 +233,7 @@ class Brighter(StimulusSource):
 @pytest.mark.parametrize("url", ["memory:", "emulator:"])
 @pytest.mark.parametrize("period_us", sample([20_000, 120_000]))
 def test_strong_pulses_after_weak_ones_rise_by_the_ramp(url, period_us, profile, changed):
-    """Thresholds of an eighth: pulses of .17 of a full one open .68, and nothing is refused."""
+    """Pulses at .17 of full strength raise the ramp to .68. The board refuses no sequence."""
     sensitive = changed(profile, {"perception.threshold_ma": 0.3, "perception.comfort_ratio": 8.0})
 
     def attempt():
@@ -248,21 +248,21 @@ def test_strong_pulses_after_weak_ones_rise_by_the_ramp(url, period_us, profile,
                     for early in (True, False))  # fmt: skip
     assert weak[-1].step.sequence.intensity == 1
     rising = [each.step.sequence.intensity for each in strong]
-    # What rounding leaves over, up to 32 µA, goes to the strongest electrode.
+    # The strongest electrode also carries the rounding remainder, up to 32 µA.
     weak = 4 * (0.125 + 0.05 * 0.875)
     assert weak + 85 / 500 - 0.001 < rising[0] < weak + 85 / 500 + 4 * 32 / 2400
     steps = rising[: rising.index(1) + 1]
     assert set(rising[len(steps) :]) <= {1}
-    # By no more than a step of the ramp each.
+    # Each rise is at most the step that the ramp allows in one period.
     assert 0 < min(np.diff(steps)) <= max(np.diff(steps)) <= min(period_us / 1000, 80) / 500 + 0.01
 
 
-# -- measurements of the board reach the recording and the next sequence
+# -- regulation: measured voltages are stored in steps and change the next sequence
 
 
 @pytest.fixture
 def regulated(pipeline_of, make_frame, patch):
-    """Return a function that regulates frames at full intensity, with what was measured before."""
+    """Return a function that processes a frame after each of several voltage measurements."""
 
     def regulated(regulator, *volts):
         pipeline, steps = pipeline_of(), []
@@ -284,7 +284,7 @@ def test_what_was_measured_is_kept_and_changes_what_is_sent(profile, regulated):
     assert [len(step.observed) for step in steps] == [0, 1, 1]
     assert steps[2].observed[0][0] is steps[1].sequence
     peaks = [np.abs(step.sequence.current_ua.astype(int)).max() for step in steps]
-    # Twice the impedance: less by its square root.
+    # At twice the impedance, the current is divided by the square root of 2.
     assert peaks[2] == pytest.approx(peaks[1] / np.sqrt(2), rel=0.01)
 
 
@@ -301,7 +301,7 @@ def test_a_board_with_one_width_holds_energy_and_no_charge(profile, timing):
 
 
 def test_the_user_is_told_what_regulation_could_not_do(profile, regulated):
-    """This profile's pulses are at their limit: there is no room to lengthen them."""
+    """Pulses of this profile have the longest allowed width, so charge cannot be held."""
     held = Regulator(Adaptation(profile, "charge", 100.0))
     carried = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
     carried.ledger.charge_pc[:2] = [9_000_000, -9_000_000]
@@ -315,7 +315,7 @@ def test_the_user_is_told_what_regulation_could_not_do(profile, regulated):
     )
     assert f"{len(set(step.sequence.site))} sites" in of_held
     assert f"{carried.ledger.worst_uc:.2f} µC" in of_carried
-    # With what they do.
+    # The note says that reversed scans stimulate the other class.
     assert all(words in of_reversing for words in ("2 of 4 scans", "SAI", "RA"))
 
 
@@ -326,7 +326,7 @@ def rules_of(profile):
 def test_after_a_lost_sequence_recharge_phases_are_what_the_gate_lets_through(
     profile, pipeline_of, make_frame, patch
 ):
-    """The gate counts what it has proved, whether the board got it or not."""
+    """The gate counts every sequence that it has proved, even if the sequence was lost."""
     pipeline, gate, recharges = pipeline_of(), SafetyGate(SafetyLimits.of(profile)), 0
     pipeline.regulator = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
     for index in range(40):
@@ -340,13 +340,12 @@ def test_after_a_lost_sequence_recharge_phases_are_what_the_gate_lets_through(
 
 @pytest.mark.parametrize(
     ("mode", "left_uc"),
-    # Some scans of PC would need more than the largest phase: the next ones take the rest back.
+    # Some PC scans need more than the largest recharge phase; later scans return the rest.
     [(Mode.RA, 0.02), (Mode.SAI, 0.02), (Mode.NATURAL, 0.02), (Mode.PC, 2.0)],
 )
 def test_by_the_emulators_books_charge_is_back_and_the_same_is_felt(
     profile, pipeline_of, make_frame, patch, mode, left_uc
 ):
-    """A bar that moves for a second: without balance, and with each way of it."""
     ways = {
         "without": Regulator(),
         "reversing": Regulator(ledger=ChargeBalance(64)),
@@ -358,7 +357,7 @@ def test_by_the_emulators_books_charge_is_back_and_the_same_is_felt(
         pipeline.regulator = regulator
         with board_without_finger(profile, SimulatedDriver) as board:
             for index in range(40):
-                # Slow enough for every way, so that all get the same frames.
+                # This period is long enough for each method, so all process the same frames.
                 frame = make_frame(patch(index, index + 9), index * 60_000_000)
                 board.send(pipeline.process(frame).sequence)
             books = board.driver._firmware.books
@@ -368,6 +367,6 @@ def test_by_the_emulators_books_charge_is_back_and_the_same_is_felt(
             assert (books.recharges > 20) == (way == "recharging")
     assert passed_uc["recharging"].max() < left_uc < 5 < passed_uc["without"].max()
     for was, now in zip(pulses["without"], pulses["recharging"], strict=True):
-        assert np.array_equal(was, now), "the slots, and so what is felt, are the same"
+        assert np.array_equal(was, now), "recharge phases have changed the slots"
     turned = (pulses["reversing"][2] != pulses["without"][2]).any(axis=1)
-    assert 0.2 < turned.mean() < 0.8, "which reversing cannot say of itself"
+    assert 0.2 < turned.mean() < 0.8, "the share of reversed slots is not between 0.2 and 0.8"

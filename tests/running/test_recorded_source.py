@@ -1,4 +1,4 @@
-"""A recording plays what was seen, and counts what it passes over."""
+"""Tests of recordings as sources: recorded inputs at recorded times, and counts of dropped ones."""
 
 from dataclasses import replace
 
@@ -68,7 +68,7 @@ def test_every_frame_is_read_or_dropped(recording, profile, times):
 
 
 def test_what_was_stale_stays_stale(tmp_path, record, steps, profile):
-    """So that nothing is felt of it, as when it was recorded."""
+    """No current flows for a stale input, neither in the run nor in its replay."""
     step = steps[0].step
     stale = replace(step, input=replace(step.input, stale=True, force_n=0.0))
     path = record(tmp_path / "a.mcap", [StepResult(stale, 1, 0.0)])
@@ -99,7 +99,7 @@ def test_on_a_finger_the_profile_is_narrowed_and_stimuli_stay_on_their_array(
 ):
     with open_recording(str(golden(name)), profile) as source:
         if other is None:
-            # Frames go to any array.
+            # Frames can be shown on any array.
             assert source.narrowed(profile).full_ma.max() <= profile.full_ma.max()
         else:
             assert source.narrowed(profile) is profile
@@ -109,7 +109,7 @@ def test_on_a_finger_the_profile_is_narrowed_and_stimuli_stay_on_their_array(
 
 @pytest.fixture
 def forge(golden, tmp_path):
-    """Return a maker of recordings with changed messages."""
+    """Return a function that changes the messages of a golden recording."""
 
     def make(change, name="ra"):
         about, messages = take_apart(golden(name))
@@ -144,7 +144,7 @@ def test_a_step_whose_image_was_lost_is_not_passed_over(forge, name):
 
 
 def test_where_steps_are_missing_there_is_no_current(forge, profile):
-    # A step every 50 ms.
+    # Steps are 50 ms apart: without steps 5 to 12, the input is unknown from 250 to 650 ms.
     path = forge(lambda messages: [each for each in messages if not 5 <= each[3] <= 12])
     with open_recording(str(path), profile) as source:
         stale = [source.read(time_ms * 10**6).stale for time_ms in (240, 345, 355, 640, 655)]

@@ -1,4 +1,4 @@
-"""Whatever happened to a file: what holds is read, and the rest is one clear sentence."""
+"""Tests of `RecordedRun`: intact parts of a damaged file are read, and errors are one sentence."""
 
 import contextlib
 import json
@@ -44,7 +44,7 @@ def broken_path(tmp_path_factory):
 
 
 def read_all(path):
-    """Read all there is to read; return the steps."""
+    """Read all parts of a recording; return the steps."""
     found = RecordedRun(path)
     steps = list(found.steps())
     assert found.seconds >= 0
@@ -106,7 +106,7 @@ def test_a_flipped_bit_costs_one_chunk(content, steps, broken_path, part):
 def test_what_follows_a_damaged_length_is_not_read(content, broken_path):
     chunks = make_reader(BytesIO(content)).get_summary().chunk_indexes
     broken = bytearray(content)
-    # The record's opcode, then its length: 8 bytes, little endian.
+    # A record begins with its opcode, 1 byte, and its length, 8 bytes, little endian.
     broken[chunks[20].chunk_start_offset + 8] ^= 0x80
     broken_path.write_bytes(broken)
     steps = read_all(broken_path)
@@ -127,7 +127,7 @@ def test_what_is_none_of_ours(broken_path, tmp_path):
 
 
 def described(path, about):
-    """Return a recording that has nothing but its description."""
+    """Return a recording that contains only the description of a run."""
     put_together(path, about, [])
     return RecordedRun(path)
 
@@ -139,7 +139,7 @@ def test_a_recording_of_the_future(broken_path, about):
 
 @pytest.mark.parametrize("key", ["profile", "settings", "versions", "started_unix_ns", "digest"])
 def test_a_changed_description_is_refused(broken_path, recording, about, key):
-    """One digit of a threshold is enough."""
+    """The digest detects the change of a single digit."""
     content, was = recording.read_bytes(), about[key].encode()
     assert content.count(was) == 1
     digit = re.search(rb"[0-9]", was)[0]
@@ -206,7 +206,7 @@ def test_the_page_describes_each_array(golden):
 
 
 def through(steps):
-    """Return steps as they come back from their messages."""
+    """Return steps after encoding to messages and decoding."""
     decoder, found = StepDecoder(steps[0].step.sequence.electrodes), []
     for index, sent in enumerate(steps):
         image = sent.step.input.image
@@ -222,13 +222,13 @@ def through(steps):
 
 
 def same(one, other):
-    """Tell whether two things have the same bits, in all their parts."""
+    """Return whether two values are identical in all nested parts; NaN equals NaN."""
     if isinstance(one, np.ndarray):
         return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
     if isinstance(one, float) and math.isnan(one):
         return math.isnan(other)
     if isinstance(one, dict):
-        # Sums of kernels are another form of the currents.
+        # Recordings do not store ``sums``, because they are another form of the currents.
         return all(same(one[key], other[key]) for key in one if key != "sums")
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(same, one, other))
@@ -237,7 +237,7 @@ def same(one, other):
 
 @pytest.fixture(scope="module")
 def sent(profile, steps):
-    """Results of runs that have everything: shared slots, recharge, voltages, vibration, faults."""
+    """Return steps with shared slots, recharge, voltages, vibration or unknown force."""
     results = []
     st.run("text:on", "simulated:", mode="natural", balance=True, seconds=1.5,
            listeners=[results.append])  # fmt: skip
@@ -280,7 +280,7 @@ def test_an_endless_force_is_the_largest_there_is(steps, force):
 
 
 def test_foxglove_finds_what_the_schemas_name(steps):
-    """By schemas/jsonschema of foxglove-sdk."""
+    """The expected fields are those of ``schemas/jsonschema`` in foxglove-sdk."""
     messages = {
         "/frame": image_message(steps[0].step.input.image, 5),
         "/step": step_message(steps[0]),

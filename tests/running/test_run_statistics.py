@@ -1,4 +1,4 @@
-"""A run's figures are true, however long it lasts."""
+"""Tests of run statistics: quantiles of durations, and the worst selectivity."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def test_extremes_have_a_place():
 
 
 def sent(number=0, proof=None):
-    """Return the result of a step of one slot on one electrode, by its input's number."""
+    """Return the result of a step with one slot on one electrode, from a frame of this number."""
     frame = Frame(np.zeros((1, 1), np.uint8), 0, Pose(0, 0), 0.0, number)
     tactile = TactileImage(np.zeros((3, 1), np.float32), 0, 0.0)
     one = np.ones(1, np.uint16)

@@ -1,4 +1,4 @@
-"""Runs: one put together, its end at zero whatever happens, and the pace of its time."""
+"""Tests of complete runs: listeners, end at zero after any failure, and paced simulated time."""
 
 import signal
 import threading
@@ -37,7 +37,7 @@ def source(profile):
 
 
 class Noting(st.Listener):
-    """Notes in which order it is called, and what it is given."""
+    """Listener that stores the order and the arguments of its calls."""
 
     def __init__(self):
         super().__init__()
@@ -130,7 +130,7 @@ def test_an_exception_in_a_listener_ends_at_zero(source, display, stage, monkeyp
 
 
 def test_an_interrupted_run_ends_at_once_and_its_program_goes_on():
-    """As by the stop button of a notebook."""
+    """The stop button of a notebook also sends SIGINT."""
     results, main = [], threading.main_thread().ident
 
     def interrupt(result):
@@ -149,7 +149,7 @@ def test_an_interrupted_run_ends_at_once_and_its_program_goes_on():
     "url", ["simulated:", "memory:", "link:/dev/null", "etactilekit:/dev/null"]
 )
 def test_a_display_that_was_stopped_stays_at_zero(url, stop):
-    """From another thread in a run, or while a program drives the board; it opens no more."""
+    """After a stop, by another thread or by the program, the display cannot be opened again."""
     display, stopped = st.open_display(url), []
     source = st.open_source("text:a long line of words", display.profile)
 
@@ -182,7 +182,7 @@ def test_on_a_finger_an_intensity_is_required(profile, source):
     display = st.open_display("link:/dev/nowhere", profile)
     with raises(st.SmartTouchError, names="intensity"):
         Runner(source, display, RunConfig()).run()
-    # Then it is the port that is missing.
+    # With an intensity, the next error is about the missing port.
     with raises(BoardError, names="port"):
         Runner(source, display, RunConfig(intensity=0.3)).run()
 
@@ -227,7 +227,7 @@ def test_each_run_on_a_display_has_its_own_notes(profile, bank, display):
 
 
 def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_path, changed):
-    # No driving function was fitted to so short a pulse.
+    # A finger has no fitted driving functions for pulses as short as 40 µs.
     short, shapes = changed(profile, {"pulse.width_us": 40}), []
     for each in (profile, short):
         display = st.open_display("simulated:", profile)
@@ -260,7 +260,7 @@ def test_an_impossible_picture_is_refused_before_the_board(
     assert not picture.path.exists()
 
 
-# -- mistakes in a program's own classes: one sentence with the name of the class
+# -- mistakes in a program's own classes: the error names the class
 
 
 class Follower(st.Listener):
@@ -312,11 +312,11 @@ def test_numbers_of_numpy_are_numbers():
     short(force=Scale("my scale"))
 
 
-# -- on a board of simulated time: as fast as they can, or paced by the wall clock
+# -- runs in simulated time: as fast as possible, or paced by real time
 
 
 def timed(paced, *, url="text:touch what a sensor sees", stop=None, listeners=(), **settings):
-    """Return the sequences of a run, its statistics, and the seconds that it took."""
+    """Run on a simulated board; return the sequences, the statistics and the duration in s."""
     sequences = []
     profile = st.load_profile("smarttouch-4x4")
     runner = Runner(
@@ -336,7 +336,7 @@ def test_a_paced_run_delivers_the_same_and_takes_its_time(tmp_path):
     assert took_s > 0.9
     assert "paced" not in st.load_recording(path).settings
     assert check_recording(path).exact
-    # At the end of its seconds a slow computer has sent fewer.
+    # A slow computer sends fewer sequences within the time limit.
     assert 10 < len(paced) <= len(fast) + 1
     for one, other in zip(fast, paced, strict=False):
         assert one.time_ns == other.time_ns
@@ -345,7 +345,7 @@ def test_a_paced_run_delivers_the_same_and_takes_its_time(tmp_path):
         assert each.restarts == 0
         assert each.figures["dropped_late"] == each.figures["refused"] == 0
         assert each.figures["emulator_violations"] == 0
-        # When a simulated pulse comes says nothing about a finger.
+        # The time of a simulated pulse says nothing about the latency of a real board.
         assert each.figures["motion_to_pulse_us"] is None
 
 
@@ -357,7 +357,7 @@ def test_a_computer_that_stalls_makes_nothing_late_on_the_board():
     sequences, statistics, _ = timed(True, seconds=1.5, listeners=[stall])
     assert statistics.late >= 1
     assert statistics.restarts == statistics.figures["dropped_late"] == 0
-    # Nor does intensity begin at zero again.
+    # Intensity does not restart at zero, either.
     levels = [each.intensity for each in sequences]
     assert levels == sorted(levels)
     assert levels[10] > levels[5] > 0

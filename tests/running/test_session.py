@@ -1,4 +1,4 @@
-"""Sessions: patterns when a program asks for them, at the level asked, and zero at the end."""
+"""Tests of sessions: a program's patterns have the requested level, and the end is at zero."""
 
 import asyncio
 import contextlib
@@ -79,7 +79,7 @@ def test_a_level_that_is_not_open_is_opened_first_with_an_event():
     assert shown.ramped_s > 0.2
     assert (shown.sequences, shown.intensity) == (5, 0.6)
     weak = [each for each in results if each.input.time_ns < shown.time_ns and each.sequence.slots]
-    # At threshold, where the pattern is.
+    # While intensity rises, only the electrodes of the pattern carry current, near threshold.
     assert 0 < max(abs(each.sequence.current_ua).max() for each in weak) < 0.6 * 1.3 * 1200
     assert all((each.tactile.activation[:, RING == 0] == 0).all() for each in weak)
     assert [str(each) for each in events if "waited" in str(each)]
@@ -170,14 +170,14 @@ def test_the_newest_pattern_wins_and_a_stale_one_is_zero(url):
     np.testing.assert_array_equal(put[-1].tactile.activation[st.Afferent.RA], other)
     assert max(numbers) - min(numbers) <= 19
     assert all(each.sequence.intensity == 0.6 for each in put)
-    # Once it was stale: silence.
+    # After the pattern became stale, no sequence has slots.
     end_ns = put[-1].input.time_ns
     after = [each.sequence.slots for each in results if each.input.time_ns > end_ns]
     assert set(after) == {0}
 
 
 def in_a_loop(coroutine):
-    """Return what a coroutine returns, in a thread: a browser has a loop in the main one."""
+    """Run a coroutine in a new thread: Playwright's event loop may occupy the main thread."""
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(asyncio.run, coroutine).result()
 
@@ -203,7 +203,7 @@ def test_the_displays_of_a_hand_begin_together(url):
             st.show_together(patterns, 0.2)
     assert {each.sequences for each in shown.values()} == {10}
     assert {each.ramped_s for each in shown.values()} == {0}
-    # They rise at the same time, too: each begins before any other has risen.
+    # Intensities also rise at the same time: each rise begins before any other one ends.
     if url == "memory:":
         began_ns = [at.clock_ns for at in shown.values()]
         assert max(began_ns) - min(began_ns) < 15_000_000
@@ -263,7 +263,7 @@ def test_a_task_that_is_canceled_ends_its_pattern():
 
 @pytest.mark.parametrize("call", ["show", "wait"])
 def test_what_interrupts_a_call_ends_what_it_shows(call):
-    """As Ctrl-C does where a notebook goes on with the session."""
+    """After Ctrl-C in a notebook, the session can continue."""
     touch, results = session()
     main = threading.main_thread().ident
     with touch:
@@ -353,7 +353,7 @@ def putting(touch, ended):
 
 @pytest.mark.parametrize("url", sample([EMULATOR, "memory:"]))
 def test_many_threads_put_until_another_stops(url, tmp_path, runs):
-    """No deadlock, zero at the end, and the recording whole."""
+    """No thread deadlocks, and the recording contains every step."""
     rounds = runs or (10 if WHOLE else 3)
     for round_ in range(rounds if url == "memory:" else max(1, rounds // 10)):
         path = tmp_path / f"{round_}.mcap"

@@ -1,4 +1,4 @@
-"""A walk through the electrodes, one after the other."""
+"""Tests of the electrode sweep."""
 
 from collections import Counter
 
@@ -11,7 +11,7 @@ from ..support.scans import board_without_finger
 
 
 class TwitchingClock:
-    """A computer that stands still: after some steps for a second, after others for a little."""
+    """Clock with a delay after each wait: first those of a list, then always 90 ms."""
 
     def __init__(self, pauses_ns):
         self.time_ns, self.pauses_ns = 10**12, pauses_ns
@@ -26,7 +26,7 @@ class TwitchingClock:
 
 
 def walked(clock, profile="etactilekit-32", **options):
-    """Return the sequences of a walk, and where it said to be."""
+    """Return the sequences of a sweep, and the texts of its ElectrodeReached events."""
     profile, events = load_profile(profile), []
     display = Display(board_without_finger(profile, clock=clock), profile)
     walk = Walk(display.profile, 0.3, **options)
@@ -40,7 +40,7 @@ def peaks_ua(sequences):
 
 
 def test_a_computer_that_is_slow_skips_no_electrode():
-    """Every step takes more than twice its time: an electrode's would be over before it pulsed."""
+    """Each step is 90 ms late: in real time an electrode's 0.15 s would end before it pulses."""
     sequences, reached = walked(TwitchingClock([]), seconds=0.15)
     assert len(reached) == 32
     pulses = Counter(int(site) for each in sequences if each.current_ua.any() for site in each.site)

@@ -1,4 +1,4 @@
-"""Where a finger may be on the board, only its own force opens current."""
+"""Tests of which force allows current: on a finger, the force of a virtual finger never does."""
 
 import math
 from dataclasses import replace
@@ -30,7 +30,7 @@ GOLDEN = Path(__file__).parents[1] / "running" / "goldens" / "ra.mcap"
 
 
 class Pattern(StimulusSource):
-    """One electrode, with a force that is made up or measured."""
+    """Source of pulses on one electrode; ``measured`` says whether its force is measured."""
 
     knows_force = True
 
@@ -59,11 +59,11 @@ VIRTUAL = {
     "walk": lambda profile, _: Walk(profile, 1.0, 0.5, sites=[27]),
     "mouse": mouse,
 }
-"""Sources whose force is made up."""
+"""Sources with the force of a virtual finger, by name."""
 
 
 class Pressed(MemoryDriver):
-    """A board that measures a force, or none."""
+    """Board in memory that measures ``force_n``, or has no force sensor if this is None."""
 
     force_n = None
 
@@ -75,7 +75,7 @@ class Pressed(MemoryDriver):
 
 @pytest.fixture
 def flows(profile, bank):
-    """Return what runs a source on a board that a finger may be on: whether current flowed."""
+    """Return a function that runs a source, and returns whether current flowed."""
 
     def run(source, force=None, *, on_board_n=None, in_profile=None, on_a_finger=True):
         law = profile.force.model_dump() | {"source": in_profile}
@@ -98,18 +98,18 @@ def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, 
 
     with raises(SourceError, names="force"):
         flows(source())
-    # Stated by a person, for this run or in the profile, or measured by the board.
+    # Ways to know the finger's force: a value for the run, one in the profile, or the board.
     ways = {
         "run": lambda newtons: flows(source(), f"fixed:{newtons}"),
         "profile": lambda newtons: flows(source(), in_profile=f"fixed:{newtons}"),
         "board": lambda newtons: flows(source(), on_board_n=newtons),
     }
-    # All of them of one source; of the others one that presses, and another that does not.
+    # To save time, all ways are tested only with the source "stimuli".
     for way in ways if WHOLE or name == "stimuli" else ("run",):
         assert ways[way](0.9)
     for way in ways if WHOLE or name == "stimuli" else ("board",):
         assert not ways[way](0)
-    # No finger can be there: the source's virtual finger presses, whatever the profile names.
+    # Without a finger on the board, the virtual finger's force counts, whatever the profile says.
     assert flows(source(), on_a_finger=False, in_profile="hx711:/dev/nowhere")
 
 
@@ -130,7 +130,6 @@ def test_a_recorded_force_presses_on_no_finger(flows, profile):
 
 
 def test_nothing_that_ships_measures_force_by_itself():
-    """Who adds a source that does, says so here."""
     import importlib
     import pkgutil
 
