@@ -1,4 +1,4 @@
-"""Emulated devices as processes: ports, options, account and end; and the server of a device."""
+"""Tests of emulated devices: ports, options, delivery log and end of their processes; servers."""
 
 import os
 import re
@@ -31,7 +31,7 @@ MS = 10**6
 
 @pytest.fixture
 def start():
-    """Return a starter of emulators: the process, a fork or its own, and the name of its port."""
+    """Return a function that starts an emulator, and returns its process and its port's name."""
     with starter() as begin:
 
         def run(device, *options, program=Forked):
@@ -46,7 +46,7 @@ def start():
 
 @pytest.fixture
 def start_board(start, tmp_path):
-    """Return a starter of boards that keep books in the test's folder."""
+    """Return a function that starts a board with its delivery log in the test's folder."""
     return lambda name, *options, **how: start(name, f"books={tmp_path}", *options, **how)
 
 
@@ -62,7 +62,7 @@ def test_bytes_pass_as_they_are_before_a_host_sets_up_its_end(start_board):
     try:
         local = termios.tcgetattr(port)[3]
         assert not local & (termios.ICANON | termios.ECHO | termios.ISIG)
-        # Counts that a terminal in its usual mode would eat or change.
+        # These bytes are control characters, which a terminal in its default mode would change.
         for count in (3, 4, 10, 13, 17, 19, 26, 127):
             os.write(port, bytes([0xFC, count, 0xF4]))
             assert select.select([port], [], [], 5)[0]
@@ -149,7 +149,7 @@ def test_a_cell_is_read_in_newtons(start, profile, changed):
 
 
 class FakeLine:
-    """Takes so many bytes at a time."""
+    """Line that accepts ``room`` more bytes, and returns the rest."""
 
     def __init__(self, room=10**9):
         self.room, self.taken = room, b""
@@ -162,24 +162,24 @@ class FakeLine:
 
 
 class Counter(SensorFirmware):
-    """A device that sends its numbers, four bytes each, 100 times a second."""
+    """Sensor whose packets are their numbers, in four bytes."""
 
     def packet(self, number, time_s):
         return b"%03d;" % number
 
 
 @pytest.mark.parametrize(("room", "acts", "taken"), [
-    # A packet at each deadline, and none without a host.
+    # The server sends a packet at each deadline, but none without a host.
     (99, ([5], *range(100, 151)), b"000;001;002;003;004;005;"),
-    # A late tick moves no deadline, and a long one is not made up for.
+    # A short delay moves no deadline. Packets missed in a long delay are not sent later.
     (99, (0, 17, 20, 26, 30, *range(1000, 1010)), b"000;001;002;003;004;"),
-    # What the host does not take is dropped and never queued.
+    # Packets that the host does not read are dropped, not queued.
     (6, (*range(50), {"room": 99}, *range(50, 61)), b"000;001;005;006;"),
-    # A host that goes takes its half packet along.
+    # If a host leaves during a packet, the next host does not get the rest of this packet.
     (2, (0, [1], {"room": 99}, 20), b"00001;"),
 ])  # fmt: skip
 def test_what_a_sensor_sends(room, acts, taken):
-    """Acts are a time, ms, a time without a host (in a list), or room for bytes."""
+    """Each of ``acts`` is a time, ms; a time without a host, in a list; or a new ``line.room``."""
     line = FakeLine(room)
     server = Server(Counter(100.0), line)
     for act in acts:
@@ -198,7 +198,7 @@ def test_an_array_moves_from_right_to_left():
     frames = [stream.feed(device.packet(number, number / 4))[0] for number in range(5)]
     assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
     assert [frame.time_us for frame in frames] == [0, 250_000, 500_000, 750_000, 1_000_000]
-    # 40 pixels a second.
+    # The pattern moves by 40 pixels per second, and frames are 0.25 s apart.
     np.testing.assert_array_equal(frames[0].image[:, 10:], frames[1].image[:, :-10])
 
 

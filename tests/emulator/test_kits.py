@@ -1,4 +1,4 @@
-"""The kits, to the byte, on a clock of the test's own."""
+"""Tests of the kits' emulated firmware, byte by byte, in simulated time."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ SECOND = 1000 * MS
 
 
 class Rig:
-    """A board of some outputs, and its books; without the dummy load unless asked for."""
+    """Emulated eTactileKit with its delivery log, by default without the load beside the skin."""
 
     def __init__(self, folder, outputs=4, **options):
         self.books = DeliveryLog(outputs, folder)
@@ -32,7 +32,7 @@ class Rig:
         return read_slots(self.books.folder)
 
     def after(self, now_ms, text):
-        """Let time pass after something was said at zero."""
+        """Send bytes at time 0, and advance to ``now_ms``."""
         self.say(0, text)
         self.advance(now_ms)
         return self
@@ -89,14 +89,14 @@ def test_at_boot_there_is_no_pulse_width_but_a_pulse_and_the_rate_is_100_hz(rig)
 
 
 @pytest.mark.parametrize(("commands", "sites", "apart_us", "own_ua"), [
-    # A slot is width, discharge and switching, also for idle electrodes.
+    # A slot lasts for width, discharge and switching, also if its electrode does not pulse.
     ("FA6400 F732 FE 0A00 0000 0000 0A00", [0, 3], [3 * 160], [-100, -100]),
     ("FA6400 FD00" + ONE, [1], [], [2198]),
     ("FA6400 FD01" + ONE, [1], [], [-2198]),
-    # Biphasic pulses are two of opposite sign.
+    # A biphasic pulse consists of two pulses of opposite sign.
     ("FB01 FA6400 F732 FE 6400 6400 0000 0000", [0, 0, 1, 1], [110, 160, 110],
      [-999, 999, -999, 999]),
-    # Sense pulses go to every electrode, whatever the pattern.
+    # In sense mode every electrode has a pulse, whatever the pattern.
     ("FB02 FA6400 F732 F964 F832" + ONE, [0, 1, 2, 3], [110] * 3, [-999] * 4),
 ])  # fmt: skip
 def test_a_scan(rig, commands, sites, apart_us, own_ua):
@@ -116,7 +116,7 @@ def test_readings_are_the_volts_of_the_last_slots(rig):
     source = [row["volts"].max() - row["volts"].min() for row in slots[-2:]]
     np.testing.assert_allclose(volts, [0, source[0], 0, source[1]], rtol=0.02, atol=0.1)
     rig.say(360, "FE" + "0000" * 4)
-    # The pattern is zero, but no scan has shown it.
+    # The pattern is zero, but the next scan has not begun.
     assert rig.say(361, "FF") != bytes(8)
     assert rig.say(705, "FF") == bytes(8)
 
@@ -124,7 +124,7 @@ def test_readings_are_the_volts_of_the_last_slots(rig):
 def test_readings_change_while_a_scan_passes_where_the_parser_does_not_wait(make_rig):
     rig = make_rig(firmware="newest")
     rig.say(0, "FC04 FA6400 F732" + "FE 6400 6400 6400 6400")
-    # Slots of 160 µs from 10 ms on: two have passed.
+    # The scan begins at 10 ms, and its slots take 160 µs: at 10.3 ms, two have begun.
     readings = np.frombuffer(rig.say(10.3, "FF"), "<u2")
     assert (readings > 0).tolist() == [True, True, False, False]
 
@@ -132,7 +132,7 @@ def test_readings_change_while_a_scan_passes_where_the_parser_does_not_wait(make
 def test_nothing_is_parsed_during_a_scan(rig):
     rig.say(0, "FC04 FAC800 F7C8")
     assert rig.say(10.1, "F5") == b""
-    # Four slots of 410 µs from 10 ms on.
+    # The scan begins at 10 ms, and its four slots take 410 µs each.
     assert rig.board.advance(int(11.6 * MS)) == b""
     assert rig.board.advance(int(11.7 * MS)) == b"\x01"
 
@@ -144,14 +144,14 @@ def test_the_newest_stops_half_a_second_after_its_host(make_rig):
     slots = rig.advance(505)
     assert (rig.books.state, rig.books.reason) == ("shorted", "silence")
     assert rig.advance(2000) == slots
-    # Half a command is gone too, the number of electrodes is not.
+    # The incomplete command was discarded, but the number of electrodes was kept.
     assert rig.say(2000, "F4") == b"\x04"
 
 
 def test_half_a_command_is_forgotten_after_2_s_with_all_that_waits(rig):
     rig.say(0, EXAMPLE)
     assert rig.say(100, "FE 0000 DC00 00") == b""
-    # Nothing is answered in between: it is all taken for heights.
+    # Before 2 s have passed, the firmware takes each byte as part of the pattern.
     assert rig.say(2099, "F4") == b""
     assert rig.say(2101, "F4") == b"\x04"
     assert rig.books.slots == 0
@@ -159,7 +159,7 @@ def test_half_a_command_is_forgotten_after_2_s_with_all_that_waits(rig):
 
 def test_a_lost_byte_means_another_current(rig):
     rig.say(0, EXAMPLE)
-    # The first byte is lost, the next command's completes it: 0xDC has become a high byte.
+    # A byte is lost, and the next command completes the pattern, in which 0xDC is a high byte.
     rig.say(1, "FE 00 DC00 0000 0000" + "FE")
     rig.advance(100)
     assert rig.books.unsafe > 0
@@ -168,7 +168,7 @@ def test_a_lost_byte_means_another_current(rig):
 
 def test_heights_are_cut_at_4095(rig):
     rig.after(15, "FC04 FA0A00 FE 0000 FFFF 0000 0000")
-    # 41 mA are asked for; the volts allow less.
+    # The pattern requests 41 mA, but the compliance voltage allows less.
     assert rig.books.max_current_ma > 20
     assert rig.books.max_volts == pytest.approx(300)
     rig = Rig(None, compliance_v=1e4)
@@ -178,7 +178,7 @@ def test_heights_are_cut_at_4095(rig):
 
 def test_too_much_for_the_period_stops_the_parser_for_good(rig):
     rig.after(1000, "FC04 FAC800 F7FF F6F401 FE" + "0A00" * 4)
-    # 4 slots of 465 µs are less than 2 ms; at 1 kHz they are not.
+    # Four slots of 465 µs fit in a period of 2 ms, but not in one of 1 ms.
     assert rig.books.sequences == pytest.approx(499, abs=1)
     rig.say(1000, "F6E803")
     rig.advance(2000)
@@ -212,7 +212,7 @@ def books(tmp_path):
 
 @pytest.fixture
 def board(books):
-    """A board whose self-test is over, and what it left in the converter."""
+    """Return a kajimoto61 board after its self-test, without a current left in the converter."""
     board = Kajimoto61Firmware(books)
     assert board.feed(ZERO, 0) == b""
     board._loaded_ua = 0.0
@@ -220,7 +220,7 @@ def board(books):
 
 
 def play(board, *steps):
-    """Let times come, in milliseconds, and bytes at them."""
+    """Feed the bytes in ``steps`` to a board; each number advances the time, to that many ms."""
     now_ns = 0
     for step in steps:
         if isinstance(step, bytes):
@@ -236,7 +236,7 @@ def delivered(books):
 
 
 def test_electrodes_come_in_order_and_only_those_that_are_on(board, books):
-    """Anodic, with all others as the return; a packet that comes early waits."""
+    """Pulses are anodic, against all other electrodes. A packet that arrives in a scan waits."""
     play(board, 0, frame(e60=10, e2=20, e5=0, e9=201, e10=255, e11=200) + frame(e0=50), 10)
     slots = delivered(books)
     assert (slots["site"][3], slots["time_us"][3], books.sequences) == (0, 3 * 208, 3)
@@ -253,7 +253,7 @@ def test_a_short_packet_waits_for_ever_and_zeros_are_the_way_out(board, books):
     play(board, 0, frame(e60=50)[:-1], 3_600_000)
     board.hang_up(3_600_000 * MS)
     assert books.slots == 0
-    # The next packet's first byte completes it, and the rest is ignored.
+    # The first byte of the next packet completes the short packet. The firmware skips the rest.
     play(board, 3_600_001, frame(e0=50)[:1] + bytes(30), 3_600_010)
     assert books.slots == 0
     play(board, 3_600_011, frame(e0=50), 3_600_012)
@@ -288,7 +288,7 @@ def test_what_the_self_test_left_flows_for_a_moment_in_the_first_pulse(tmp_path,
     play(board, 0, first, 10, frame(e1=1, e2=1), 20, frame(e1=1), 30)
     slots = delivered(books)
     assert slots["site"].tolist() == [1, 1, 2, 1]
-    # 898 counts for 3 µs, then its own value: no zero packet loads anything.
+    # The first pulse carries 898 counts for 3 µs, then its own value, also after packets of zeros.
     own = -slots["current_ua"][range(4), slots["site"]]
     assert own.tolist() == [2192, 39, 39, 39]
     charge = np.abs(slots["charge_uc"]).max(axis=1)
@@ -302,7 +302,7 @@ def test_a_reading_wraps_and_never_looks_like_the_end():
     )
     play(board, 0, ZERO, 1, b"\xfe")
     reply = board.advance(10 * MS)
-    # 300 V are 3,359 counts, 839 after the shift, and 839 - 3 * 256 = 71 in a byte.
+    # 300 V are 3,359 counts. Shifted right by 2 bits they are 839, and 839 - 3 * 256 = 71.
     assert reply[5] == 71
     assert reply[6] < 10
     assert reply[-1] == 0xFF not in reply[:-1]

@@ -1,6 +1,6 @@
-"""The emulated link board on a clock of the test's own: what it keeps, hears and executes.
+"""Tests of the emulated link board in simulated time: limits, sessions and kernels.
 
-What it refuses is compared with the C core and a judge in ``firmware/tests``.
+Tests in ``firmware/tests`` compare the refusals of emulator, C core and a reference (`judge`).
 """
 
 import re
@@ -46,7 +46,7 @@ E = 6
 
 
 class Rig(Talk):
-    """A host that has begun a session under limits, and the board that it talks to."""
+    """Emulated board, and a host that has begun a session and sent limits."""
 
     def __init__(self, electrodes=4, output="weighted", **given):
         super().__init__(Emulated(electrodes, output, 0, **given))
@@ -54,7 +54,7 @@ class Rig(Talk):
         self.begin(SafetyLimits(electrodes, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0))
 
     def drive(self, recharge_ua=None, recharge_us=0, **more):
-        """Send two pulses of 100 µs, 50 µs apart."""
+        """Send two pulses of 100 µs, 50 µs apart, and a recharge phase if ``recharge_us`` > 0."""
         current = np.array([[300, -100, -100, -100], [-100, 300, -100, -100]], np.int16)
         column = np.ones(2, np.uint16)
         scan = ScanSequence(current, 100 * column, 50 * column, column, 10_000, 1.0, 0)
@@ -62,7 +62,7 @@ class Rig(Talk):
         self.send(scan, 1, switched=self.switched, **more)
 
     def live(self, time_ms):
-        """Let time pass with heartbeats, which have heard the last ALIVE."""
+        """Advance the time, with heartbeats that confirm the last ALIVE packet."""
         for _ in range(time_ms // 10):
             self.wait(10_000)
             self.say(MessageKind.HEARTBEAT)
@@ -81,7 +81,7 @@ def test_its_limits_are_those_of_the_firmware():
     header = Path(__file__).parents[2] / "firmware" / "src" / "st_inside.h"
     named = re.findall(r"#define ST_(M(?:AX|IN)_\w+|STRENGTH|\w+_US) (\d+)", header.read_text())
     others = {name for name, value in named if getattr(link_rules, name, int(value)) != int(value)}
-    # The core adds up in 32 bits, and takes more slots.
+    # The C core accepts more slots: as many as its sums of charge in 32 bits allow.
     assert others == {"MAX_SLOTS"}
 
 
@@ -97,14 +97,14 @@ def test_an_open_electrode_needs_all_the_voltage_there_is():
     rig = Rig(output="one-against-all", finger=EmulatedFinger(4, ["0 open 1"]))
     rig.drive(measure=True)
     (told,) = (each for each in rig.wait(11_000) if each.kind == MessageKind.VOLTAGES)
-    volts = np.frombuffer(told.payload, "<u2") / 100  # of 10 mV
+    volts = np.frombuffer(told.payload, "<u2") / 100  # from 10 mV
     assert volts[1] == pytest.approx(300, abs=0.02)
     assert volts[0] < 60
 
 
 @pytest.mark.parametrize(("open_us", "flowed"), [(299, []), (300, [400]), (700, [800])])
 def test_what_flowed_of_a_recharge_phase_is_counted(rig, open_us, flowed):
-    """It begins at 300 µs, and the switch is found open 400 µs after the last step."""
+    """The phase begins at 300 µs. An open switch is detected 400 µs later, at the next step."""
     back = np.array([-10, -10, 10, 10], np.int16)
     rig.drive(recharge_ua=back, recharge_us=1000)
     rig.wait(open_us)
@@ -140,7 +140,7 @@ def test_hellos_that_lead_to_nothing_are_counted():
 
 @pytest.mark.parametrize("noise", ["heartbeat", "hello", "garbage", "half a stop", "half anew"])
 def test_what_is_no_sign_of_life(rig, noise):
-    """The host dies, and something on the line goes on."""
+    """After the end of the host, other bytes arrive on the line."""
     rig.drive(times=10_000)
     beat = rig.host.encode(MessageKind.HEARTBEAT)
     rig.say(None, data=beat)
@@ -157,7 +157,7 @@ def test_what_is_no_sign_of_life(rig, noise):
         rig.say(None, data=played)
     assert rig.ended == ("shorted", "silence")
     assert rig.books.zero_after_ms == pytest.approx(protocol.SILENCE_MS, abs=5)
-    # The head of a sequence that never came whole is fresh for as long as that of one that does.
+    # The head of an incomplete sequence counts as a sign of life until the sequence is late.
     fresh_ms = LATE_MS + ALIVE_MS if noise == "half anew" else 0
     assert rig.books.slots <= 2 * ((50 + fresh_ms + protocol.SILENCE_MS) / 10 + 1)
 
@@ -167,7 +167,7 @@ def test_a_long_packet_on_its_way_is_a_sign_of_life_for_a_while(rig):
     rig.live(30)
     packet = rig.host.encode(MessageKind.SEQUENCE, 2, bytes(range(1, 251)) * 12)
     for at in range(0, LONGEST_PACKET_MS + 300, 50):
-        # It never ends: the board does.
+        # The packet never ends, so the board must go to zero.
         assert rig.books.state == "driving" or at >= LONGEST_PACKET_MS
         rig.say(None, data=packet[at : at + 50])
         rig.wait(50_000)
@@ -176,7 +176,7 @@ def test_a_long_packet_on_its_way_is_a_sign_of_life_for_a_while(rig):
 
 def test_a_stop_is_never_too_late(rig, monkeypatch):
     rig.drive(times=10_000)
-    # From here on its host hears nothing.
+    # From now on the host ignores all packets of the board.
     monkeypatch.setattr(rig.host, "take", lambda packet: [])
     rig.live(310)
     assert rig.books.state == "driving"

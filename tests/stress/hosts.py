@@ -1,12 +1,12 @@
-"""Ends the host of an emulated board at random instants: when does the last pulse end?
+"""Measurement of the last pulse of an emulated board whose host ends at a random time.
 
-``python tests/stress/hosts.py etactilekit kill 100`` prints what was found as JSON. A host is
-killed or frozen while it opens its board or drives it; or it is stopped while it measures, rises or
-repeats, in turn from another thread and by a signal whose handler stops the board in the very
-thread that drives it, and then tries to go on. One process plays the boards and forks a host for
-each run, so that a run costs no start of a program. What counts is the board's own account on the
-board's own clock, which stands still while this process is kept from running. Linux only: orphans
-are collected here, so that none stays behind unseen.
+``python tests/stress/hosts.py etactilekit kill 100`` prints the results of 100 runs as JSON. In a
+run the host is killed or frozen while it opens or drives its board. Or the board is stopped while
+the host measures, raises the intensity or repeats a sequence: from another thread, or by a signal
+handler in the thread that drives the board. Then the host tries to continue. This process emulates
+the boards, and forks the hosts, which is faster than starting programs. Results are those of the
+delivery log, by the board's clock, which stands still while this process is delayed. Linux only:
+this process adopts and counts the processes that a host leaves behind.
 """
 
 import argparse
@@ -47,23 +47,23 @@ ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 SIGNALS = {"kill": signal.SIGKILL, "freeze": signal.SIGSTOP}
 ACTIONS = ("measuring", "rising", "repeating")
 RISE_S, MOST, STEP_S, REPEATED = 0.6, 0.25, 0.02, 3
-"""Time from zero to full intensity, what it rises to, its steps, and the one that is repeated."""
+"""Time from zero to full intensity; final intensity; duration of a step; the repeated step."""
 LATEST_S = 0.6
-"""The end comes at any instant until then: after the host's start, or its first pulse."""
+"""Largest time until the host is ended, after its start or its first pulse."""
 OPENING = 4
-"""One host in so many is gone by its start, which may be while it opens the board."""
+"""One in this number of hosts is ended at a random time after its start, not after a pulse."""
 PATIENCE_S, LEAVES_WITHIN_S = 30.0, 10.0
 WATCHED_NS = 600_000_000
 AWAKE_NS = 250_000_000
-"""So long a stopped board is watched: longer than two periods of sense scans."""
+"""Time for which a board is observed after a stop: more than two periods of a sense scan."""
 PR_SET_CHILD_SUBREAPER = 36
 NOT_YET = BoardRestartedError, SequenceLateError, SafetyError
-"""On a busy computer a host may stand still by itself, or nothing of what opens the level is out
-yet: it begins anew."""
+"""Errors after which a host restarts at zero: on a busy computer the host can be late, or the
+sequences that raise the ramp have not been written yet."""
 
 
 class LastPulse(DeliveryLog):
-    """Books that know when the last pulse ended."""
+    """Delivery log that also stores the end of the last pulse."""
 
     ended_us = -np.inf
 
@@ -73,8 +73,8 @@ class LastPulse(DeliveryLog):
         super().enter(*entry, **more)
 
 
-class PlayedBoard:
-    """A board that this process plays, on a line of its own, and the host that it forks."""
+class BoardWithHost:
+    """Board that this process emulates on a pseudo-terminal, and the forked host that drives it."""
 
     def __init__(self, kind):
         kind, _, firmware = kind.partition(" ")
@@ -89,12 +89,12 @@ class PlayedBoard:
         self.url = f"{kind}:{self.line.name}" + f"?firmware={firmware}" * bool(firmware)
 
     def fork_host(self, drive):
-        """Let a fork drive a board within limits of its own."""
+        """Fork a host that calls ``drive`` with a board on this line and its limits."""
         if child := os.fork():
             self._host = child
             return
         try:
-            # The far end is the board's alone.
+            # Only the parent process may hold the board's end of the line.
             os.close(self.line._master)
             limits = SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.8)
             drive(make_board(self.url, limits), limits)
@@ -103,8 +103,8 @@ class PlayedBoard:
         finally:
             os._exit(1)
 
-    def go_on(self):
-        """Take what has come, and answer."""
+    def serve(self):
+        """Process the received bytes, and answer."""
         data = self.line.read(0.0005)
         now = self.clock.now_ns()
         self._pending += self.firmware.feed(data, now) if data else self.firmware.advance(now)
@@ -115,12 +115,12 @@ class PlayedBoard:
         os.kill(self._host, number)
 
     def catch_up(self):
-        """Take what was written by now, however late this process comes to read it."""
+        """Process everything that the host has written so far, also if this process is late."""
         while data := self.line.read(0):
             self._pending += self.firmware.feed(data, self.clock.now_ns())
 
     def end(self, since_ns):
-        """End the host; return what the board did since then."""
+        """Kill the host; return what the board has delivered since a time of its clock."""
         self.signal(signal.SIGKILL)
         left, deadline = 1, time.monotonic() + LEAVES_WITHIN_S
         while left and time.monotonic() < deadline:
@@ -134,7 +134,7 @@ class PlayedBoard:
         os.close(self.line._master)
         books = self.books
         return {
-            # 0 if no pulse came after.
+            # time from ``since_ns`` to the end of the last pulse; 0 if no pulse ended later
             "late_ms": max(0.0, (books.ended_us - since_ns / 1e3) / 1e3),
             "unsafe": books.unsafe, "violations": books.violations, "processes_left": left,
             "driving": books.state == "driving", "ports_kept": data is not None,
@@ -142,7 +142,7 @@ class PlayedBoard:
 
 
 def anodic(limits, level_ua, intensity, time_ns, sites):
-    """Return a scan of anodic slots, each one electrode against all others."""
+    """Return a scan with an anodic slot for each site, against all other electrodes."""
     currents = np.full((len(sites), limits.electrodes), level_ua // (limits.electrodes - 1))
     currents[np.arange(len(sites)), sites] = 0
     currents[np.arange(len(sites)), sites] = -currents.sum(axis=1)
@@ -154,7 +154,7 @@ def anodic(limits, level_ua, intensity, time_ns, sites):
 
 
 def open_board(board):
-    """Open a board, again if a busy computer has kept its watchdog waiting."""
+    """Open a board; try again if the watchdog was late on a busy computer."""
     for _ in range(5):
         with suppress(LineLostError):
             return board.open()
@@ -162,7 +162,7 @@ def open_board(board):
 
 
 def drive_for_ever(board, limits):
-    """Drive a board with a pattern that is never the same."""
+    """Drive a board with random patterns until the process is killed."""
     draw = random.Random(os.getpid())
     open_board(board)
     with closing(board):
@@ -172,7 +172,7 @@ def drive_for_ever(board, limits):
             level = max(0, int(intensity * 2800) - draw.randrange(20))
             sites = draw.sample(range(limits.electrodes), 6) if level else []
             sequence = anodic(limits, level, intensity, now_ns, sites)
-            # Repeated for a second, so that only what is shown here ends it.
+            # Without another sequence, the board would repeat this one for a second.
             try:
                 board.send(sequence, 50)
                 time.sleep(STEP_S)
@@ -182,27 +182,27 @@ def drive_for_ever(board, limits):
 
 
 def gone_run(kind, how, opening, at_s):
-    """Kill or freeze a host."""
-    board, gone_ns, pulsed = PlayedBoard(kind), None, False
+    """Kill or freeze a host ``at_s`` after its start (if ``opening``) or after its first pulse."""
+    board, gone_ns, pulsed = BoardWithHost(kind), None, False
     board.fork_host(drive_for_ever)
     begun = time.monotonic()
     go_s = begun + at_s if opening else None
     while gone_ns is None or board.clock.now_ns() < gone_ns + WATCHED_NS:
-        board.go_on()
+        board.serve()
         if go_s is None and board.books.ended_us > -np.inf:
             go_s = time.monotonic() + at_s
-        assert go_s or time.monotonic() < begun + PATIENCE_S, "it never pulsed"
+        assert go_s or time.monotonic() < begun + PATIENCE_S, "the board has not pulsed in time"
         if gone_ns is None and go_s and time.monotonic() > go_s:
             gone_ns = board.clock.now_ns()
             board.signal(SIGNALS[how])
             board.catch_up()
-            # In the 50 ms before.
+            # whether a pulse ended in the 50 ms before the end of the host
             pulsed = board.books.ended_us > gone_ns / 1e3 - 50_000
     return board.end(gone_ns) | {"pulsed": bool(pulsed)}
 
 
 def send(board, limits, step, times=1):
-    """Send the points of a step of the rise; return the next step."""
+    """Send a sequence with the intensity of a step; return the number of the next step."""
     intensity = min(MOST, step * STEP_S / RISE_S)
     sites = [1, 3, 5, 7] if step else []
     sequence = anodic(limits, int(0.9 * intensity * 2800), intensity, time.monotonic_ns(), sites)
@@ -212,7 +212,7 @@ def send(board, limits, step, times=1):
 
 
 def act(board, limits, action, stopped):
-    """Drive a board until that is refused."""
+    """Drive a board until it raises an error other than those in `NOT_YET`."""
     step = 0
     while True:
         try:
@@ -228,21 +228,21 @@ def act(board, limits, action, stopped):
 
 
 def wait_for(stopped):
-    # Not by an event, whose lock a signal's handler might find taken by its own thread.
+    # A threading.Event could deadlock: the signal handler may interrupt a thread that has its lock.
     deadline = time.monotonic() + PATIENCE_S
     while not stopped and time.monotonic() < deadline:
         time.sleep(0.01)
 
 
 def drive_until_stopped(board, limits, action, from_thread, at_s, said):
-    """Drive a board until it is stopped, then try to go on; write down what came of it."""
+    """Drive a board until it is stopped, try to continue, and write the raised errors to a pipe."""
     stopped = []
 
     def stop(*_):
         try:
             board.stop()
         except LineLostError:
-            # A host that stood still cannot confirm zero: its board is at zero by itself by then.
+            # If the host was delayed, it cannot confirm zero, but the board is at zero by itself.
             time.sleep(0.1)
         os.write(said, b"stopped\n")
         stopped.append(True)
@@ -269,7 +269,7 @@ def drive_until_stopped(board, limits, action, from_thread, at_s, said):
 
 def stopped_run(kind, action, from_thread, at_s):
     """Stop a board while its host drives it."""
-    board, (ours, said) = PlayedBoard(kind), os.pipe()
+    board, (ours, said) = BoardWithHost(kind), os.pipe()
     board.fork_host(
         partial(
             drive_until_stopped, action=action, from_thread=from_thread, at_s=at_s, said=said
@@ -280,10 +280,10 @@ def stopped_run(kind, action, from_thread, at_s):
         stopped_ns is None or told.count(b"\n") < 3 or board.clock.now_ns() < stopped_ns + AWAKE_NS
     ):
         assert time.monotonic() < begun + PATIENCE_S, (kind, action, from_thread, at_s, told)
-        # First what it says, then what it had written before.
+        # Read the pipe first: everything written to the line before a message is then processed.
         if select.select([ours], [], [], 0)[0]:
             told += os.read(ours, 1000)
-        board.go_on()
+        board.serve()
         if go_s is None and b"open" in told:
             go_s = time.monotonic() + at_s
         if go_s and not from_thread and time.monotonic() > go_s:
@@ -299,7 +299,7 @@ def stopped_run(kind, action, from_thread, at_s):
 
 
 def run(kind, how, count):
-    """Return what so many runs found."""
+    """Execute ``count`` runs; return a summary of their results."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     kits.BOOT_S = 0.0
     draw = random.Random(f"{kind} {how}")
@@ -324,7 +324,7 @@ def run(kind, how, count):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("kind", help=f"of {', '.join(ELECTRODES)}, or 'etactilekit newest'")
+    parser.add_argument("kind", help=f"board: {', '.join(ELECTRODES)} or 'etactilekit newest'")
     parser.add_argument("how", choices=(*SIGNALS, *ACTIONS))
     parser.add_argument("count", type=int)
     options = parser.parse_args()

@@ -1,8 +1,7 @@
-"""Whenever a host is killed, frozen, stopped or gets a signal, its board is at zero, and nothing
-stays behind.
+"""Tests that a board is at zero after its host was killed, frozen or stopped, or got a signal.
 
-A few rounds of each by default; ``nice pytest tests/stress --runs 100 -n0 -s --timeout 0`` for the
-long form, with figures: only that one is about how long it takes.
+By default each case has two rounds. ``nice pytest tests/stress --runs 100 -n0 -s --timeout 0`` has
+100 rounds, prints results, and also checks the time until zero.
 """
 
 import json
@@ -26,27 +25,27 @@ from ..support.processes import PROGRAM, emulator
 
 pytestmark = pytest.mark.realtime
 linux = pytest.mark.skipif(
-    sys.platform != "linux", reason="it collects orphans as only Linux lets it"
+    sys.platform != "linux", reason="only on Linux a process can adopt orphaned processes"
 )
 ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 ROUNDS = 2
 KITS = ("etactilekit 71adee2", "etactilekit newest")
 WIRE_MS = {"kajimoto61": 13.0, "etactilekit newest": 8.0}
-"""What a stopped board still makes of what it has: a packet's scan, or that under way; else
-nothing."""
+"""Time for which pulses can continue after a stop: the rest of a scan, or of the scan in a packet.
+For other boards it is 0."""
 LONGEST_START_S, LONGEST_END_S = 3.0, 30.0
-"""A run drives its board well before the one, and has ended before the other."""
+"""Largest time from the start of a run to a signal, and from the signal to the end of the run."""
 WITHIN_MS, WATCHED_MS = 100, 600
 STEP_MS = 10
-"""By so much the clock of an emulated board may run on while its process is kept from running."""
+"""Time by which the clock of an emulated board advances at most while its process is delayed."""
 
 
 def ended(cases, runs, folder):
-    """Return what came of boards whose hosts were ended so often, by kind and how.
+    """Yield kind, way of ending and results of each case, from several runs of ``hosts.py``.
 
-    Hosts mostly wait, so those of three cases run at once, but for figures one after another. Each
-    case is a user of its own, as one may drive only two boards.
+    Three cases run in parallel, because hosts mostly wait; with ``--runs``, only one. Each case has
+    its own state folder, because a user may drive only two boards at once.
     """
     every, rounds = list(cases), runs or ROUNDS
     for first in range(0, len(every), at_once := 1 if runs else 3):
@@ -76,7 +75,7 @@ def test_a_board_whose_host_is_gone_is_at_zero(runs, tmp_path):
     ]
     for _, _, found in ended(sample(cases), runs, tmp_path):
         assert found["ports_kept"] == 0, found
-        # A board that goes on pulses until it is not watched any more.
+        # If a board continued, its last pulse would be near the end of the observed time.
         assert found["worst_ms"] < 0.8 * WATCHED_MS, found
         if runs:
             assert found["pulsed"] > runs / 2, found
@@ -85,7 +84,7 @@ def test_a_board_whose_host_is_gone_is_at_zero(runs, tmp_path):
 
 @linux
 def test_no_slot_starts_after_a_stop(runs, tmp_path):
-    # A kajimoto61 does not measure.
+    # The driver of the kajimoto61 cannot measure.
     cases = [
         *product(["link", *KITS], ["measuring", "rising", "repeating"]),
         ("kajimoto61", "rising"), ("kajimoto61", "repeating"),
@@ -94,8 +93,8 @@ def test_no_slot_starts_after_a_stop(runs, tmp_path):
         assert found["worst_ms"] <= WIRE_MS.get(kind, 0.0), found
         assert (found["violations"], found["driving"]) == (0, 0), found
         came = found["came"]
-        # On a busy machine an answer may be too late for what is under way, never for what comes
-        # after.
+        # On a busy machine the call during the stop may raise LineLostError. All later calls raise
+        # BoardStoppedError.
         assert came.get("LineLostError", 0) <= found["runs"], found
         refused = came["BoardStoppedError"] + came.get("LineLostError", 0)
         assert refused == 3 * found["runs"], found
@@ -105,7 +104,7 @@ def test_signals_end_runs_with_the_board_at_zero(runs, tmp_path):
     draw, kinds = random.Random(1), cycle(ELECTRODES)
     for number in range(0, runs or 3, 3):
         with starter() as start:
-            # Three at once, each of its own user: one may drive only two boards.
+            # Each of three runs has its own state folder: a user may drive only two boards at once.
             due = []
             for kind in islice(kinds, 3):
                 (books := tmp_path / f"books{number}{kind}").mkdir()
