@@ -1,4 +1,4 @@
-"""Devices at the far end of a port, and patience with those that start slowly."""
+"""Fixtures: devices that send data to a port, and long time limits for slow devices."""
 
 import threading
 
@@ -9,7 +9,7 @@ from smarttouch.sources import force, live_capture
 
 
 class Device(threading.Thread):
-    """Sends what `data` returns for a number, 100 times a second."""
+    """Thread that sends ``data(number)`` over a line, 100 times per second."""
 
     def __init__(self, data):
         super().__init__()
@@ -21,7 +21,7 @@ class Device(threading.Thread):
     def run(self):
         number = 0
         while not self._ended.wait(0.01):
-            # Whoever listens later must not hear what was sent before.
+            # Send only if a host has opened the port: it must not receive earlier data.
             if self.line.read(0) is not None:
                 self.line.write(self.data(number))
                 number += 1
@@ -47,6 +47,6 @@ def make_device():
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
-    """Wait for a first image or reading until a test would hang: how soon it comes says nothing."""
+    """Wait up to 60 s for a first image or reading, because a busy machine can delay it."""
     monkeypatch.setattr(live_capture, "FIRST_IMAGE_S", 60.0)
     monkeypatch.setattr(force, "FIRST_READING_S", 60.0)

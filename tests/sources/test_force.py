@@ -1,4 +1,4 @@
-"""Force that a person states."""
+"""Tests of force sources: stated force, and load cells that send text or packets."""
 
 import math
 import threading
@@ -43,17 +43,17 @@ def test_what_is_no_force(profile, url, value, allowed):
 
 @pytest.fixture
 def in_grams(profile, changed):
-    """The profile, which takes readings for grams."""
+    """Return the profile with a force curve for readings in grams."""
     return changed(profile, {"force.curve": (0.0, 0.00980665)})
 
 
 def grams(least):
-    """Return what a cell prints under such a weight."""
+    """Return a function that makes a cell's lines: ``least`` and one gram more, in turn."""
     return lambda number: b"Reading: %d g\r\n" % (least + number % 2)
 
 
 class TestSources(ForceContract):
-    """The contract of what a person states, and of a load cell."""
+    """Contract tests of ``fixed:`` and ``hx711:``."""
 
     @pytest.fixture(params=["fixed:0.5", "hx711"])
     def url(self, request, make_device):
@@ -92,11 +92,11 @@ def test_no_text_crashes_and_a_reading_after_it_is_found(pieces, value):
 
 
 @pytest.mark.parametrize(("text", "came", "garbled", "last"), [
-    # The first line may have lost its start.
+    # The first line is ignored, because its start may be missing.
     (b"345\n12345\n", [12345], 0, ""),
-    # Labels are no garbage, but words are.
+    # A line that ends with a colon is a label; other lines without a number are garbled.
     (b"\nHX711 reading:\n5\n\nHX711 not found.\n6\n", [5, 6], 1, "'HX711 not found.'"),
-    # A number between garbage is not believed.
+    # The first number after bytes that are not text is ignored.
     (b"\n\xfe\x01\n7\n\x80\n8\n\x90\n1\n2\n3\n", [2, 3], 3, None),
 ])  # fmt: skip
 def test_what_is_read_of_a_text(text, came, garbled, last):
@@ -118,7 +118,7 @@ def test_a_line_without_end_is_forgotten():
 
 
 class TestWatch:
-    """A cell's readings at times of our own."""
+    """Tests of `CellWatch`, in simulated time."""
 
     @pytest.fixture
     def notes(self):
@@ -129,7 +129,7 @@ class TestWatch:
         return CellWatch("cell", notes, presses=lambda reading: reading > 100)
 
     def stand_still(self, watch, value, seconds, rate_hz=80, start_s=0.0):
-        """Return the time after the last of so many equal readings."""
+        """Add equal readings for some seconds; return the time of the last one, ns."""
         for k in range(round(seconds * rate_hz) + 1):
             now_ns = round((start_s + k / rate_hz) * SECOND)
             watch.take([value], now_ns)
@@ -149,7 +149,7 @@ class TestWatch:
         watch.take([], 4 * SECOND)
         watch.take([5], 4 * SECOND)
         (note,) = notes
-        assert numbers_in(note) == [3.0, FRESH_S], "the longest"
+        assert numbers_in(note) == [3.0, FRESH_S], "the note names another pause than the longest"
 
     @pytest.mark.parametrize("invalid", [math.nan, 2.0**23 - 1, -(2.0**23)])
     def test_a_cell_that_reports_no_reading(self, watch, notes, invalid):

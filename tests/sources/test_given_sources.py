@@ -1,4 +1,4 @@
-"""What programs give as a source, what sources return, and the contract of each kind."""
+"""Tests of objects that programs pass as sources, and contract tests of each kind of source."""
 
 import time
 from pathlib import Path
@@ -67,7 +67,7 @@ def test_activation_is_a_number_from_0_to_1_for_each_electrode(activation):
 
 
 class Mine(OpticalSource):
-    """A source of another package that returns whatever it was made with."""
+    """Source of a user's program; `read` returns the object given at construction."""
 
     knows_force = True
 
@@ -121,7 +121,7 @@ def test_what_is_no_source_is_one_sentence(given, profile):
 
 
 class Halves:
-    """Left half of the image to RA, the right one to SAI."""
+    """Imaging function that shows the left half of an image to RA and the right half to SAI."""
 
     def __call__(self, frame, electrodes):
         columns = electrodes.position_mm[:, 0]
@@ -217,7 +217,7 @@ RECORDING = Path(__file__).parents[1] / "running/goldens/ra.mcap"
 
 
 class TestUrls(SourceContract):
-    """The contract of each kind of source that ends."""
+    """Contract tests of all kinds of sources that end."""
 
     @pytest.fixture(autouse=True, params=[
         (page_url, {"page_width_mm": 20.0}), (lambda _: "text:a word", {}),

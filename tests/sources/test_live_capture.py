@@ -1,4 +1,4 @@
-"""Live capture and cameras: newest wins, every image is counted, no fault goes unreported."""
+"""Tests of live capture and cameras: newest image, counts of images, and reports of faults."""
 
 import itertools
 import math
@@ -26,7 +26,7 @@ ODD = ZeroDivisionError("by zero")
 
 
 class Script(ImageDevice):
-    """Does as it is set, or told later: shots are given, exceptions raised; then nothing comes."""
+    """Device that plays ``events``: it returns shots, raises exceptions and calls functions."""
 
     title = "camera 0"
 
@@ -70,7 +70,7 @@ def no_thread_left():
 
 @pytest.fixture(scope="module")
 def page_patch():
-    """Return a maker of 64 x 64 patches of one page, so many pixels from its left edge."""
+    """Return a function that cuts a 64 x 64 patch from a page, at a distance from its left edge."""
     random = np.random.default_rng(5).integers(0, 2, (64, 256)).astype(np.float32)
     page = cv2.GaussianBlur(255 * random, (0, 0), 2.5)
     return lambda left: np.clip(4 * (page[:, left : left + 64] - 96), 0, 255).astype(np.uint8)
@@ -136,7 +136,7 @@ def test_errors_of_the_thread_reach_the_reader(profile, error, attributes):
 
 
 def test_unplugged_and_plugged_in_again(profile):
-    """Back is a source that gives an image, not one that can be opened."""
+    """A device has returned when it gives an image, not when it can be opened."""
     now = [0]
 
     def later():
@@ -225,12 +225,12 @@ def test_the_flat_field_of_the_profile_is_applied(profile, changed, tmp_path):
 
 without_a_camera = pytest.mark.skipif(
     Path("/dev/video0").exists() or sys.platform == "darwin",
-    reason="a test must not switch on a camera that is there",
+    reason="this machine may have a camera, which a test must not switch on",
 )
 
 
 class FakeCapture:
-    """`cv2.VideoCapture` of a camera of 640 x 480 at 30 Hz, whose state is that of the class."""
+    """Fake `cv2.VideoCapture` of a 640 x 480 camera at 30 Hz; its state is in class attributes."""
 
     plugged, can_expose, taken_ms = True, True, 0.0
 
@@ -314,7 +314,7 @@ def test_what_the_camera_does_not_accept_is_noted_once(profile, device):
     *(("0", {"size": size}, size) for size in ((0, 480), (10**6, 10**6))),
     *(("0", {"fps": fps}, fps) for fps in (math.nan, -5.0)),
     ("0", {"exposure": math.nan}, math.nan),
-    # An option of other sensors is not taken.
+    # Options of other sensors are refused.
     ("0", {"baud": 9600}, ("size", "exposure", "fps")),
 ])  # fmt: skip
 def test_what_cannot_be(profile, device, rest, options, value):
@@ -356,7 +356,7 @@ def test_the_driver_may_report_when_an_image_was_taken(device, monkeypatch):
     "camera:/dev/video971",
 ])  # fmt: skip
 def test_a_missing_camera_is_one_sentence_and_nothing_else(profile, capfd, place):
-    """The real OpenCV."""
+    """This test uses the real OpenCV."""
     with raises(SourceError, names="camera", value=place.removeprefix("camera:")):
         open_source(place, profile)
     captured = capfd.readouterr()

@@ -1,4 +1,4 @@
-"""Motion between images: the right way, the right size, and none where nothing is known."""
+"""Tests of the motion between images, and of flat-field correction."""
 
 import math
 
@@ -23,7 +23,7 @@ FIELD_MM = 5.0
 
 @pytest.fixture(scope="module")
 def blots():
-    """A page of dark blots, 400 x 400 pixels."""
+    """Return a page with dark blots, (400, 400) float32."""
     random = np.random.default_rng(2).integers(0, 2, (400, 400)).astype(np.float32)
     page = cv2.GaussianBlur(255 * random, (0, 0), 2.5)
     return np.clip(6 * (page - 100), 0, 255).astype(np.float32)
@@ -31,7 +31,7 @@ def blots():
 
 @pytest.fixture
 def look(blots):
-    """Return a taker of patches around (200 + x, 200 + y) pixels of the page, with noise."""
+    """Return a function that cuts a noisy patch around pixel (200 + x, 200 + y) of the page."""
     noise = np.random.default_rng(3)
 
     def take(x=0.0, y=0.0, size=(64, 64), level=2.0):
@@ -43,7 +43,7 @@ def look(blots):
 
 
 def follow(tracker, *images):
-    """Return the motion at the last of the images."""
+    """Give images to a tracker; return the motion from the last but one to the last, mm."""
     for image in images:
         motion = tracker.follow(image)
     return motion
@@ -55,7 +55,7 @@ SIZES = [(each, 2, 1) for each in ((16, 16), (32, 24), (200, 150), (384, 128))]
 
 @pytest.mark.parametrize(("size", "x", "y"), MOVES + SIZES)
 def test_the_patch_moves_against_its_print_in_images_of_any_size(profile, look, size, x, y):
-    """The field spreads over the larger side."""
+    """The field is always 5 mm wide and 5 mm high, so pixels need not be square."""
     zoom = max(1, max(size) // 64)
     seen = size[0] // zoom, size[1] // zoom
     images = [cv2.resize(look(*at, size=seen), size) for at in ((0, 0), (x, y))]
@@ -79,7 +79,7 @@ def test_the_scale_is_the_inverse_of_the_registration(profile, changed, degrees,
         {"optics.rotation_deg": degrees, "optics.sensor_columns": 80, "optics.sensor_rows": 50},
     ).optics
     turn = math.radians(degrees)
-    # As imaging.registration puts a point of the page into the image.
+    # Pixel of a page point, by the formula of `smarttouch.imaging.registration`.
     column = (x_mm * math.cos(turn) - y_mm * math.sin(turn)) * 80 / optics.field_width_mm
     row = (x_mm * math.sin(turn) + y_mm * math.cos(turn)) * 50 / optics.field_height_mm
     back = page_per_pixel(optics, (50, 80)) @ [column, row]
@@ -108,7 +108,7 @@ def test_light_that_changes_is_no_motion(profile, look):
 
 
 def paper(random, slope=0.0):
-    """Blank, unevenly lit, noisy."""
+    """Return an image of blank paper with noise; ``slope`` is the gradient of light."""
     level = 220 + slope * np.linspace(-16, 16, 64) + random.normal(0, 2, (64, 64))
     return np.clip(np.rint(level), 0, 255).astype(np.uint8)
 
@@ -126,7 +126,7 @@ def test_two_images_that_have_nothing_in_common(profile, look):
 
 
 def test_motion_along_an_edge_is_not_known(profile):
-    """Of a long vertical stroke only the way across can be seen."""
+    """The image of a long vertical stroke shows only horizontal motion."""
     random = np.random.default_rng(1)
     tracker = FramePreprocessor(profile)
     down = []
@@ -142,7 +142,7 @@ def test_motion_along_an_edge_is_not_known(profile):
     (64, 40, 0.03, 0.005), (64, 200, 0.1, 0.005), (32, 40, 0.04, 0.01), (16, 40, 0.06, 0.03),
 ])  # fmt: skip
 def test_a_line_of_print(profile, changed, tmp_path, side, speed_mm_s, most_px, most_drift):
-    """At 100 images a second over the last line of the sample page, wavering up and down."""
+    """The finger moves in waves along a line of the sample page, at 100 images per second."""
     times = np.linspace(0, 60 / speed_mm_s, 200)
     x = 10 + speed_mm_s * times
     y = 34.5 + 0.6 * np.sin(0.2 * x)
@@ -193,7 +193,7 @@ def test_every_grey_is_even_after_correction(patch, field):
         seen = np.mean(images, axis=0)
         corrected = np.mean(list(map(field.correct, images)), axis=0)
         assert seen.std() / seen.mean() > 0.1
-        # What is left is the noise of 30 frames, and rounding.
+        # The remaining deviation is noise, averaged over 30 frames, and rounding.
         assert corrected.std() / corrected.mean() < 0.015
         white = np.mean([field.correct(each) for each in patch.images(30, light=True)])
         assert corrected.mean() == pytest.approx(grey * white, rel=0.02)

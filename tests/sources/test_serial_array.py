@@ -1,4 +1,4 @@
-"""The wire format of sensors, and frames from a serial array: every one that came is counted."""
+"""Tests of the sensors' wire format, and of frames from a serial array with their counts."""
 
 import socket
 import zlib
@@ -118,9 +118,9 @@ def test_gaps_in_numbers(before, number, missing):
 
 
 class Line(PtyLine):
-    """The device's end of a port.
+    """Device's end of a port.
 
-    What is written comes when the system gets round to it: whoever reads waits for `sent` bytes.
+    Bytes can arrive with a delay, so readers wait until they have received `sent` bytes.
     """
 
     sent = 0
@@ -140,7 +140,7 @@ def line():
 
 @pytest.fixture
 def source(line):
-    """Return a source that listens at the line."""
+    """Yield an open source at the line, which counts all bytes from now on."""
     source = SerialArrayDevice(line.name)
     source.open()
     assert source.grab(0) is None
@@ -153,7 +153,7 @@ def frame(number, rows=4, columns=5):
 
 
 def grab_all(source, sent):
-    """Return the shots in so many bytes since the source was opened, however late they come."""
+    """Grab until the source has received ``sent`` bytes in total; return the shots."""
     shots = []
     until(lambda: source._received >= sent or shots.append(source.grab(0)))
     return [shot for shot in shots if shot is not None]
@@ -202,7 +202,7 @@ def test_a_port_that_is_gone(line, source):
 
 def test_bytes_that_are_no_frames_from_the_start_on(line, source, monkeypatch):
     monkeypatch.setattr(serial_array, "_UNREADABLE_S", 0.0)
-    assert source.grab(0) is None, "as long as nothing comes there is nothing to say"
+    assert source.grab(0) is None, "a frame was read before any byte was sent"
     line.send(b"Reading: 12.3 g\r\n")
     odd = {"value": line.name}
     with raises(SourceError, **odd) as caught:

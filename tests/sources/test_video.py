@@ -1,4 +1,4 @@
-"""Videos and folders of images: each frame at its time, or one after the other."""
+"""Tests of videos and folders of images, at their frame rate or one image per read."""
 
 import math
 import os
@@ -23,7 +23,7 @@ SECOND = 1_000_000_000
 
 
 def write_clip(path, images, rate_hz=200.0, codec="MJPG"):
-    """Write a video of grey images, of 48 x 64 pixels where there is none."""
+    """Write a video of gray images; return its path. Without images it has 48 x 64 pixels."""
     rows, columns = images[0].shape if images else (48, 64)
     fourcc = cv2.VideoWriter.fourcc(*codec)
     writer = cv2.VideoWriter(str(path), fourcc, rate_hz, (columns, rows))
@@ -35,7 +35,7 @@ def write_clip(path, images, rate_hz=200.0, codec="MJPG"):
 
 
 def clip_of_levels(count, rate_hz):
-    """Return a clip of images whose grey level is their number, and the list of those decoded."""
+    """Return a clip of images whose gray level is their number, and a list of decoded numbers."""
     decoded = []
 
     def image(number):
@@ -48,7 +48,7 @@ def clip_of_levels(count, rate_hz):
 
 @pytest.fixture
 def write_video(tmp_path):
-    """Return a writer of videos of blurred noise that moves right by two pixels a frame."""
+    """Return a function that writes a video whose field moves right by two pixels per frame."""
     random = np.random.default_rng(0).integers(0, 2, (48, 300)).astype(np.float32)
     page = np.clip(6 * (cv2.GaussianBlur(255 * random, (0, 0), 2.5) - 100), 0, 255)
 
@@ -61,7 +61,7 @@ def write_video(tmp_path):
 
 @pytest.fixture
 def folder(tmp_path):
-    """A folder of images whose grey level is ten times their number."""
+    """Return a folder of images whose gray level is ten times their index in natural order."""
     for number, name in enumerate(["1.png", "2.pgm", "03.bmp", "10.tif", "b2.jpg", "b10.png"]):
         Image.fromarray(np.full((6, 8), 10 * number, np.uint8)).save(tmp_path / name)
     (tmp_path / "notes.txt").write_text("not an image")
@@ -70,7 +70,7 @@ def folder(tmp_path):
 
 
 def levels(sensor, step_ns=0):
-    """Read a sensor to its end, by so much time; return the levels of its images."""
+    """Read a source to its end, every ``step_ns``; return the mean gray levels of its images."""
     found, time_ns = [], 0
     with sensor:
         while (frame := sensor.read(time_ns)) is not None:
@@ -96,7 +96,7 @@ def test_a_video_frame_by_frame(profile, write_video):
 
 
 def test_a_video_at_its_pace(profile, write_video):
-    """Read at 80 Hz, of 200 images a second some are passed over, and none by the clock."""
+    """If a 200 Hz video is read at 80 Hz, images are dropped; real time has no influence."""
     with open_source(f"video:{write_video()}", profile) as sensor:
         assert sensor.duration_s == pytest.approx(0.2)
         frames = [sensor.read(12_500_000 * count) for count in range(16)]
@@ -104,7 +104,7 @@ def test_a_video_at_its_pace(profile, write_video):
     assert [frame.number for frame in frames] == [5 * count // 2 for count in range(16)]
     assert [frame.age_ns for frame in frames[:3]] == [0, 2_500_000, 0]
     assert (sensor.frames, sensor.dropped_frames) == (40, 23)
-    # Motion is followed over images that are passed over.
+    # Motion is also measured in dropped images.
     pixel_mm = profile.optics.field_width_mm / 64
     assert frames[-1].pose.x_mm == pytest.approx(2 * 37 * pixel_mm, rel=0.02)
 

@@ -1,4 +1,4 @@
-"""The virtual finger sees what a real patch of photo-sensors would see."""
+"""Tests of the virtual finger: its images of a page, its path and its force."""
 
 import itertools
 import math
@@ -37,7 +37,7 @@ def at(path, time_s):
 
 @pytest.fixture
 def still(tmp_path, profile):
-    """Return a maker of sensors that rest at (10, 10) mm on a page."""
+    """Return a function that makes a source whose finger rests at (10, 10) mm on a page."""
 
     def make(grey, mm_per_pixel, angle=0.0):
         path = tmp_path / "path.csv"
@@ -48,7 +48,7 @@ def still(tmp_path, profile):
 
 
 def spot(x_mm, y_mm, side_mm=0.8, mm_per_pixel=0.04):
-    """A white page of 20 x 20 mm with one black square."""
+    """Return a white page of 20 x 20 mm with a black square at (x, y)."""
     grey = np.full((500, 500), 255, np.uint8)
     rows, columns = (
         slice(round((v - side_mm / 2) / mm_per_pixel), round((v + side_mm / 2) / mm_per_pixel))
@@ -137,7 +137,7 @@ def test_a_word_too_short_for_a_line_is_read_where_it_is(profile, word):
     (line,) = path.lines
     assert line.left_mm <= columns.min() * page.mm_per_pixel
     assert line.right_mm >= columns.max() * page.mm_per_pixel
-    # Below it is place for a descender.
+    # The line includes space for descenders below the word.
     assert -0.5 < line.bottom_mm - rows.max() * page.mm_per_pixel < 1.5
     assert path.duration_s < 2
 
@@ -155,9 +155,9 @@ def test_the_finger_lands_settles_sweeps_and_lifts(profile):
     assert np.diff(x[pressing]).min() >= -60
     sweeping = np.diff(x) / 0.01
     assert np.median(sweeping[sweeping > 1]) == pytest.approx(40, rel=0.01)
-    # It rests with the first letters under it, whose pulses let intensity rise.
+    # The finger rests on the first letters until their pulses have raised the ramp.
     assert at(path, 0)[0].x_mm == at(path, 0.7)[0].x_mm == path.lines[0].left_mm
-    # A bent line is followed closely.
+    # Points of the path are at most 2.2 mm apart, to follow curved lines.
     assert np.diff(path.table[1]).max() <= 2.2
 
 
