@@ -1,4 +1,4 @@
-"""Tests of emulated devices: ports, options, delivery log and end of their processes; servers."""
+"""Tests of emulated devices: their ports, options, delivery logs and ends, and of `Server`."""
 
 import os
 import re
@@ -162,7 +162,7 @@ class FakeLine:
 
 
 class Counter(SensorFirmware):
-    """Sensor whose packets are their numbers, in four bytes."""
+    """Sensor that sends the number of each packet as its content, in four bytes."""
 
     def packet(self, number, time_s):
         return b"%03d;" % number
@@ -179,7 +179,7 @@ class Counter(SensorFirmware):
     (2, (0, [1], {"room": 99}, 20), b"00001;"),
 ])  # fmt: skip
 def test_what_a_sensor_sends(room, acts, taken):
-    """Each of ``acts`` is a time, ms; a time without a host, in a list; or a new ``line.room``."""
+    """An act is a time with a host, ms, a list with a time without a host, or a new capacity."""
     line = FakeLine(room)
     server = Server(Counter(100.0), line)
     for act in acts:
@@ -198,7 +198,7 @@ def test_an_array_moves_from_right_to_left():
     frames = [stream.feed(device.packet(number, number / 4))[0] for number in range(5)]
     assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
     assert [frame.time_us for frame in frames] == [0, 250_000, 500_000, 750_000, 1_000_000]
-    # The pattern moves by 40 pixels per second, and frames are 0.25 s apart.
+    # Frames are 0.25 s apart, and the pattern moves by 40 pixels per second.
     np.testing.assert_array_equal(frames[0].image[:, 10:], frames[1].image[:, :-10])
 
 

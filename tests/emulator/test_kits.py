@@ -13,7 +13,7 @@ SECOND = 1000 * MS
 
 
 class Rig:
-    """Emulated eTactileKit with its delivery log, by default without the load beside the skin."""
+    """Emulated eTactileKit and its delivery log; by default the skin has no load in parallel."""
 
     def __init__(self, folder, outputs=4, **options):
         self.books = DeliveryLog(outputs, folder)
@@ -151,7 +151,7 @@ def test_the_newest_stops_half_a_second_after_its_host(make_rig):
 def test_half_a_command_is_forgotten_after_2_s_with_all_that_waits(rig):
     rig.say(0, EXAMPLE)
     assert rig.say(100, "FE 0000 DC00 00") == b""
-    # Before 2 s have passed, the firmware takes each byte as part of the pattern.
+    # Before 2 s have passed, the firmware treats each byte as part of the pattern.
     assert rig.say(2099, "F4") == b""
     assert rig.say(2101, "F4") == b"\x04"
     assert rig.books.slots == 0
@@ -159,7 +159,7 @@ def test_half_a_command_is_forgotten_after_2_s_with_all_that_waits(rig):
 
 def test_a_lost_byte_means_another_current(rig):
     rig.say(0, EXAMPLE)
-    # A byte is lost, and the next command completes the pattern, in which 0xDC is a high byte.
+    # After a lost byte, the next command completes the pattern, in which 0xDC is a high byte.
     rig.say(1, "FE 00 DC00 0000 0000" + "FE")
     rig.advance(100)
     assert rig.books.unsafe > 0
@@ -212,7 +212,7 @@ def books(tmp_path):
 
 @pytest.fixture
 def board(books):
-    """Return a kajimoto61 board after its self-test, without a current left in the converter."""
+    """Return an emulated kajimoto61 after its self-test; its converter stores no current."""
     board = Kajimoto61Firmware(books)
     assert board.feed(ZERO, 0) == b""
     board._loaded_ua = 0.0
@@ -220,7 +220,7 @@ def board(books):
 
 
 def play(board, *steps):
-    """Feed the bytes in ``steps`` to a board; each number advances the time, to that many ms."""
+    """Execute steps on a board: feed bytes, or advance the time to a number of ms."""
     now_ns = 0
     for step in steps:
         if isinstance(step, bytes):
@@ -236,7 +236,7 @@ def delivered(books):
 
 
 def test_electrodes_come_in_order_and_only_those_that_are_on(board, books):
-    """Pulses are anodic, against all other electrodes. A packet that arrives in a scan waits."""
+    """Pulses are anodic, against all other electrodes. A packet waits until the scan is over."""
     play(board, 0, frame(e60=10, e2=20, e5=0, e9=201, e10=255, e11=200) + frame(e0=50), 10)
     slots = delivered(books)
     assert (slots["site"][3], slots["time_us"][3], books.sequences) == (0, 3 * 208, 3)

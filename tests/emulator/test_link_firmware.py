@@ -1,6 +1,6 @@
 """Tests of the emulated link board in simulated time: limits, sessions and kernels.
 
-Tests in ``firmware/tests`` compare the refusals of emulator, C core and a reference (`judge`).
+Tests in ``firmware/tests`` compare which packets the emulator, the C core and a reference refuse.
 """
 
 import re
@@ -81,7 +81,7 @@ def test_its_limits_are_those_of_the_firmware():
     header = Path(__file__).parents[2] / "firmware" / "src" / "st_inside.h"
     named = re.findall(r"#define ST_(M(?:AX|IN)_\w+|STRENGTH|\w+_US) (\d+)", header.read_text())
     others = {name for name, value in named if getattr(link_rules, name, int(value)) != int(value)}
-    # The C core accepts more slots: as many as its sums of charge in 32 bits allow.
+    # The C core accepts more slots than the emulator: the charge of 8,000 slots fits in 32 bits.
     assert others == {"MAX_SLOTS"}
 
 
@@ -97,14 +97,14 @@ def test_an_open_electrode_needs_all_the_voltage_there_is():
     rig = Rig(output="one-against-all", finger=EmulatedFinger(4, ["0 open 1"]))
     rig.drive(measure=True)
     (told,) = (each for each in rig.wait(11_000) if each.kind == MessageKind.VOLTAGES)
-    volts = np.frombuffer(told.payload, "<u2") / 100  # from 10 mV
+    volts = np.frombuffer(told.payload, "<u2") / 100  # the unit in the payload is 10 mV
     assert volts[1] == pytest.approx(300, abs=0.02)
     assert volts[0] < 60
 
 
 @pytest.mark.parametrize(("open_us", "flowed"), [(299, []), (300, [400]), (700, [800])])
 def test_what_flowed_of_a_recharge_phase_is_counted(rig, open_us, flowed):
-    """The phase begins at 300 µs. An open switch is detected 400 µs later, at the next step."""
+    """The phase begins at 300 µs. The board detects the open switch 400 µs after its opening."""
     back = np.array([-10, -10, 10, 10], np.int16)
     rig.drive(recharge_ua=back, recharge_us=1000)
     rig.wait(open_us)
@@ -140,7 +140,7 @@ def test_hellos_that_lead_to_nothing_are_counted():
 
 @pytest.mark.parametrize("noise", ["heartbeat", "hello", "garbage", "half a stop", "half anew"])
 def test_what_is_no_sign_of_life(rig, noise):
-    """After the end of the host, other bytes arrive on the line."""
+    """The board times out after the host has ended, even if other bytes still arrive."""
     rig.drive(times=10_000)
     beat = rig.host.encode(MessageKind.HEARTBEAT)
     rig.say(None, data=beat)
@@ -167,7 +167,7 @@ def test_a_long_packet_on_its_way_is_a_sign_of_life_for_a_while(rig):
     rig.live(30)
     packet = rig.host.encode(MessageKind.SEQUENCE, 2, bytes(range(1, 251)) * 12)
     for at in range(0, LONGEST_PACKET_MS + 300, 50):
-        # The packet never ends, so the board must go to zero.
+        # The packet never ends: after `LONGEST_PACKET_MS` the board must go to zero.
         assert rig.books.state == "driving" or at >= LONGEST_PACKET_MS
         rig.say(None, data=packet[at : at + 50])
         rig.wait(50_000)

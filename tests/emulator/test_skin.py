@@ -141,7 +141,7 @@ def test_currents_sum_to_zero_and_never_pass_the_compliance(pulses, seed, compli
     most_v = compliance_v * (1 + 1e-9) + 1e-9
     for state, current, width_us, short_us in pulses:
         switched = one_source.switched_pulse(state, abs(current[0]), width_us)
-        # One common source limits the voltage between its poles, separate sources that to tissue.
+        # Compliance limits the voltage between poles (one source) or to the tissue (own sources).
         assert switched.source_v <= most_v
         own = own_sources.pulse(current, width_us)
         assert np.abs(own.volts).max() <= most_v

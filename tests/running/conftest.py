@@ -60,7 +60,7 @@ def about(profile, settings):
 
 @pytest.fixture(scope="session")
 def make_steps(profile, bank):
-    """Return a function that makes steps of a moving bar; every image is in two steps."""
+    """Return a function that makes steps of a moving bar; each image is in two successive steps."""
 
     def make(count, period_ns=20_000_000):
         pipeline, rng = Pipeline(profile, bank, RunConfig(scan="points")), np.random.default_rng(1)
@@ -104,7 +104,7 @@ def recording(record, steps, tmp_path_factory):
     """Return the path of a short recording with many chunks."""
     path = tmp_path_factory.mktemp("recording") / "run.mcap"
     with pytest.MonkeyPatch.context() as patch:
-        # With a chunk time of 0 s, each step and each event is a chunk.
+        # With a chunk time of 0 s, each step and each event is a chunk of its own.
         patch.setattr(writer_module, "CHUNK_S", 0.0)
         return record(path, steps, ["paused", "goes on"])
 

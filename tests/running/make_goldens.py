@@ -33,9 +33,9 @@ from ..support.scans import board_without_finger
 
 FOLDER = Path(__file__).parent / "goldens"
 IMAGES = 8
-"""Number of images in a recording: the camera is slower than the loop, to keep files small."""
+"""Number of images in a recording. The camera is slower than the loop, to keep files small."""
 BEGIN, END = 0.68, 0.94
-"""Start and end of the recorded part of the finger's path, without most of the margin."""
+"""Recorded part of the finger's path, as shares of its duration, without most of the margin."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ GOLDENS = (
 
 
 class SlowCamera(Source):
-    """Sensor that repeats each image in several frames; for stimuli, with random activation."""
+    """Sensor that repeats each image in several frames. It gives stimuli if ``has_stimuli``."""
 
     knows_force = True
 
@@ -129,7 +129,7 @@ class Script(Controls):
 
 
 class GoldenDriver(MemoryDriver):
-    """Board in memory that can be lost once, and that for ``hold`` measures rising impedance."""
+    """Board in memory that can be lost once. If ``hold`` is set, it measures rising impedance."""
 
     def __init__(self, golden, *given):
         super().__init__(*given)

@@ -65,7 +65,7 @@ def test_goldens_hold_what_they_are_for(goldens):
     assert len(restarts) == 2
     proved = [each.step.sequence.proof for each in steps["shared"] if each.step.sequence.proof]
     assert max(int(each.points.max(initial=0)) for each in proved) >= 4
-    # RA points share slots. SAI points have slots of their own without proof, whose count is 0.
+    # RA points share slots. SAI points have their own slots without proof, marked by 0 points.
     assert any((each.points > 1).any() and not each.points.all() for each in proved)
 
 

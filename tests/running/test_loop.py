@@ -94,7 +94,7 @@ class Watched(MemoryDriver):
 
 @pytest.fixture
 def board(profile):
-    # With a fake clock, a busy machine makes no sequence late.
+    # With a fake clock, no sequence is late on a busy machine.
     return board_without_finger(profile, Watched, clock=FakeClock())
 
 
@@ -159,7 +159,7 @@ def test_a_board_whose_clock_is_behind_is_followed(play, board, monkeypatch, own
         return send(proved)
 
     monkeypatch.setattr(board.driver, "write", held_up)
-    # Take processor time from the fake clock, too: all of its time, or none.
+    # Replace the processor time: it is all of the fake clock's time, or zero.
     monkeypatch.setattr("time.thread_time_ns", lambda: clock.time_ns * own_work)
     run = play(Bars(20), clock=clock)
     assert np.diff(clock.deadlines).tolist() == [first_ns] + [PERIOD_NS] * 19
@@ -254,7 +254,7 @@ def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
     time_s = np.array([each.time_ns / 1e9 for each in sent])
     driven = np.flatnonzero(found)
     away = int(np.argmax(np.diff(time_s[driven])))
-    # The finger is lifted for 0.6 s, but the board reports the lift later than the return.
+    # The finger is lifted for 0.6 s. The board reports the lift with more delay than the return.
     assert np.diff(time_s[driven])[away] > 0.3
     # After a delay of the computer, the ramp may catch up by `LATE_NS`.
     rise_s = np.diff(time_s) + LATE_NS / 1e9
@@ -348,7 +348,7 @@ def test_what_was_computed_before_a_pause_is_not_sent(
     """If the computer stalls between computing and sending a sequence, the loop drops the sequence.
     Repeated drops are reported once."""
     clock, process = FakeClock(), pipeline.process
-    # On a board with claimed time no sequence is ever late.
+    # With ``claimed_time``, the default of this function, no sequence would ever be late.
     board = board_without_finger(profile, Watched, clock=clock, claimed_time=False)
 
     def stand_still(*given):

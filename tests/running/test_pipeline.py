@@ -301,7 +301,7 @@ def test_a_board_with_one_width_holds_energy_and_no_charge(profile, timing):
 
 
 def test_the_user_is_told_what_regulation_could_not_do(profile, regulated):
-    """Pulses of this profile have the longest allowed width, so charge cannot be held."""
+    """Pulses of this profile have the largest allowed width: hold=charge cannot lengthen them."""
     held = Regulator(Adaptation(profile, "charge", 100.0))
     carried = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
     carried.ledger.charge_pc[:2] = [9_000_000, -9_000_000]

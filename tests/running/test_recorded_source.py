@@ -1,4 +1,4 @@
-"""Tests of recordings as sources: recorded inputs at recorded times, and counts of dropped ones."""
+"""Tests of recordings as sources: inputs at their recorded times, and counts of dropped inputs."""
 
 from dataclasses import replace
 
@@ -99,7 +99,7 @@ def test_on_a_finger_the_profile_is_narrowed_and_stimuli_stay_on_their_array(
 ):
     with open_recording(str(golden(name)), profile) as source:
         if other is None:
-            # Frames can be shown on any array.
+            # Frames, unlike stimuli, can be shown on an array of another size.
             assert source.narrowed(profile).full_ma.max() <= profile.full_ma.max()
         else:
             assert source.narrowed(profile) is profile

@@ -228,7 +228,7 @@ def same(one, other):
     if isinstance(one, float) and math.isnan(one):
         return math.isnan(other)
     if isinstance(one, dict):
-        # Recordings do not store ``sums``, because they are another form of the currents.
+        # Recordings do not store ``sums``, because the currents contain the same information.
         return all(same(one[key], other[key]) for key in one if key != "sums")
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(same, one, other))

@@ -227,7 +227,7 @@ def test_each_run_on_a_display_has_its_own_notes(profile, bank, display):
 
 
 def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_path, changed):
-    # A finger has no fitted driving functions for pulses as short as 40 µs.
+    # No driving function was fitted to pulses of 40 µs, so a finger cannot be simulated.
     short, shapes = changed(profile, {"pulse.width_us": 40}), []
     for each in (profile, short):
         display = st.open_display("simulated:", profile)
@@ -357,7 +357,7 @@ def test_a_computer_that_stalls_makes_nothing_late_on_the_board():
     sequences, statistics, _ = timed(True, seconds=1.5, listeners=[stall])
     assert statistics.late >= 1
     assert statistics.restarts == statistics.figures["dropped_late"] == 0
-    # Intensity does not restart at zero, either.
+    # Intensity rises without a restart at zero.
     levels = [each.intensity for each in sequences]
     assert levels == sorted(levels)
     assert levels[10] > levels[5] > 0

@@ -203,7 +203,7 @@ def test_the_displays_of_a_hand_begin_together(url):
             st.show_together(patterns, 0.2)
     assert {each.sequences for each in shown.values()} == {10}
     assert {each.ramped_s for each in shown.values()} == {0}
-    # Intensities also rise at the same time: each rise begins before any other one ends.
+    # The ramps of the displays also overlap: each rise begins before any other rise ends.
     if url == "memory:":
         began_ns = [at.clock_ns for at in shown.values()]
         assert max(began_ns) - min(began_ns) < 15_000_000

@@ -40,7 +40,7 @@ def peaks_ua(sequences):
 
 
 def test_a_computer_that_is_slow_skips_no_electrode():
-    """Each step is 90 ms late: in real time an electrode's 0.15 s would end before it pulses."""
+    """Each step is 90 ms late, so 0.15 s of real time would end before an electrode pulses."""
     sequences, reached = walked(TwitchingClock([]), seconds=0.15)
     assert len(reached) == 32
     pulses = Counter(int(site) for each in sequences if each.current_ua.any() for site in each.site)

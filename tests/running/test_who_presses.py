@@ -1,4 +1,4 @@
-"""Tests of which force allows current: on a finger, the force of a virtual finger never does."""
+"""Tests of force on a finger: stated or measured force allows current, a virtual one does not."""
 
 import math
 from dataclasses import replace
@@ -98,7 +98,7 @@ def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, 
 
     with raises(SourceError, names="force"):
         flows(source())
-    # Ways to know the finger's force: a value for the run, one in the profile, or the board.
+    # Ways to give a real finger's force: for the run, in the profile, or measured by the board.
     ways = {
         "run": lambda newtons: flows(source(), f"fixed:{newtons}"),
         "profile": lambda newtons: flows(source(), in_profile=f"fixed:{newtons}"),

@@ -48,7 +48,7 @@ def in_grams(profile, changed):
 
 
 def grams(least):
-    """Return a function that makes a cell's lines: ``least`` and one gram more, in turn."""
+    """Return a function that makes a cell's lines, alternately with ``least`` and 1 g more."""
     return lambda number: b"Reading: %d g\r\n" % (least + number % 2)
 
 
@@ -149,7 +149,7 @@ class TestWatch:
         watch.take([], 4 * SECOND)
         watch.take([5], 4 * SECOND)
         (note,) = notes
-        assert numbers_in(note) == [3.0, FRESH_S], "the note names another pause than the longest"
+        assert numbers_in(note) == [3.0, FRESH_S], "the note does not name the longest pause"
 
     @pytest.mark.parametrize("invalid", [math.nan, 2.0**23 - 1, -(2.0**23)])
     def test_a_cell_that_reports_no_reading(self, watch, notes, invalid):

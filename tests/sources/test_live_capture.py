@@ -70,7 +70,7 @@ def no_thread_left():
 
 @pytest.fixture(scope="module")
 def page_patch():
-    """Return a function that cuts a 64 x 64 patch from a page, at a distance from its left edge."""
+    """Return a function that cuts a 64 x 64 patch from a page; ``left`` is its first column."""
     random = np.random.default_rng(5).integers(0, 2, (64, 256)).astype(np.float32)
     page = cv2.GaussianBlur(255 * random, (0, 0), 2.5)
     return lambda left: np.clip(4 * (page[:, left : left + 64] - 96), 0, 255).astype(np.uint8)

@@ -55,7 +55,7 @@ SIZES = [(each, 2, 1) for each in ((16, 16), (32, 24), (200, 150), (384, 128))]
 
 @pytest.mark.parametrize(("size", "x", "y"), MOVES + SIZES)
 def test_the_patch_moves_against_its_print_in_images_of_any_size(profile, look, size, x, y):
-    """The field is always 5 mm wide and 5 mm high, so pixels need not be square."""
+    """The field is 5 mm wide and 5 mm high for each image size, so pixels need not be square."""
     zoom = max(1, max(size) // 64)
     seen = size[0] // zoom, size[1] // zoom
     images = [cv2.resize(look(*at, size=seen), size) for at in ((0, 0), (x, y))]
@@ -79,7 +79,7 @@ def test_the_scale_is_the_inverse_of_the_registration(profile, changed, degrees,
         {"optics.rotation_deg": degrees, "optics.sensor_columns": 80, "optics.sensor_rows": 50},
     ).optics
     turn = math.radians(degrees)
-    # Pixel of a page point, by the formula of `smarttouch.imaging.registration`.
+    # Convert a page point to a pixel with the formula of `smarttouch.imaging.registration`.
     column = (x_mm * math.cos(turn) - y_mm * math.sin(turn)) * 80 / optics.field_width_mm
     row = (x_mm * math.sin(turn) + y_mm * math.cos(turn)) * 50 / optics.field_height_mm
     back = page_per_pixel(optics, (50, 80)) @ [column, row]

@@ -140,7 +140,7 @@ def line():
 
 @pytest.fixture
 def source(line):
-    """Yield an open source at the line, which counts all bytes from now on."""
+    """Yield an open source, whose first `grab` has discarded earlier bytes."""
     source = SerialArrayDevice(line.name)
     source.open()
     assert source.grab(0) is None

@@ -47,11 +47,11 @@ ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 SIGNALS = {"kill": signal.SIGKILL, "freeze": signal.SIGSTOP}
 ACTIONS = ("measuring", "rising", "repeating")
 RISE_S, MOST, STEP_S, REPEATED = 0.6, 0.25, 0.02, 3
-"""Time from zero to full intensity; final intensity; duration of a step; the repeated step."""
+"""Duration of a full ramp, final intensity, duration of a step, index of the repeated step."""
 LATEST_S = 0.6
 """Largest time until the host is ended, after its start or its first pulse."""
 OPENING = 4
-"""One in this number of hosts is ended at a random time after its start, not after a pulse."""
+"""Every fourth host is ended at a random time after its start, others after a first pulse."""
 PATIENCE_S, LEAVES_WITHIN_S = 30.0, 10.0
 WATCHED_NS = 600_000_000
 AWAKE_NS = 250_000_000
@@ -242,7 +242,7 @@ def drive_until_stopped(board, limits, action, from_thread, at_s, said):
         try:
             board.stop()
         except LineLostError:
-            # If the host was delayed, it cannot confirm zero, but the board is at zero by itself.
+            # A delayed host cannot confirm zero. After this pause the board is at zero anyway.
             time.sleep(0.1)
         os.write(said, b"stopped\n")
         stopped.append(True)
