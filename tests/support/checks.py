@@ -1,4 +1,4 @@
-"""Checks of errors by their attributes and numbers, of the numbers of a note, and of arrays."""
+"""Assertions about errors and their messages, about numbers in texts, and about arrays."""
 
 import math
 import numbers
@@ -17,9 +17,9 @@ _NUMBER = r"-?\d[\d,]*\.?\d*(?:e[+-]?\d+)?"
 
 @contextmanager
 def raises(kind, **attributes):
-    """Expect an error of a type whose attributes have these values; see `assert_says`.
+    """Expect an error of type ``kind``; check it with `assert_says` and these attributes.
 
-    Yields what `pytest.raises` does.
+    Yields the exception info of `pytest.raises`.
     """
     with pytest.raises(kind) as caught:
         yield caught
@@ -27,18 +27,17 @@ def raises(kind, **attributes):
 
 
 def assert_says(error, value=None, allowed=None, names=None, **attributes):
-    """Check that an error's attributes have these values, and that its message is one line.
+    """Assert that an error has these attributes, and that its message is a single line.
 
-    ``value`` and ``allowed`` are attributes of a SafetyError; of others the message shows them, and
-    ``names``.
-    What can be called judges an attribute, or one of the numbers shown, and a `pytest.approx`
-    compares as it does.
+    ``value`` and ``allowed`` are attributes of a SafetyError. The message of any other error must
+    contain them. ``names`` must be in each message. An expected value can be a `pytest.approx`, or
+    a predicate that accepts the attribute or one of the numbers in the message.
     """
     message = str(error)
     assert message
     assert "\n" not in message
     shown = {"value": value, "allowed": allowed}
-    shown = {name: each for name, each in shown.items() if each is not None}
+    shown = {name: expected for name, expected in shown.items() if expected is not None}
     if isinstance(error, SafetyError):
         attributes, shown = attributes | shown, {}
     if names is not None:
@@ -49,13 +48,13 @@ def assert_says(error, value=None, allowed=None, names=None, **attributes):
         for name, expected in attributes.items()
         if not (expected(found[name]) if callable(expected) else found[name] == expected)
     }
-    assert not wrong, f"{wrong} where {attributes} was expected: {message}"
-    hidden = {name: each for name, each in shown.items() if not _shows(message, each)}
-    assert not hidden, f"{hidden} is not shown: {message}"
+    assert not wrong, f"{wrong} is not the expected {attributes}: {message}"
+    missing = {name: part for name, part in shown.items() if not _shows(message, part)}
+    assert not missing, f"{missing} is missing in the message: {message}"
 
 
 def _shows(message, expected):
-    """Whether a message shows a name or number, or all of several; a share as a percentage, too."""
+    """Return whether a message has a name or number (also as percent or mega), or all of a list."""
     expected = getattr(expected, "expected", expected)
     found = [float(each.replace(",", "")) for each in re.findall(_NUMBER, message)]
     if callable(expected):
@@ -79,11 +78,11 @@ def _shows(message, expected):
 
 
 def numbers_in(text):
-    """Return the numbers of a text, in their order; those in words, as in x2, do not count."""
+    """Return the numbers in a text in order, without digits inside words, as in x2."""
     return [float(each) for each in re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?", text)]
 
 
 def assert_close(found, expected, rel=1e-6, abs=1e-12):
-    """Assert what ``found == pytest.approx(expected)`` does, of all values of arrays at once."""
+    """Assert that two arrays have the same shape and, within tolerances, the same values."""
     assert found.shape == expected.shape
     assert_allclose(found, expected, rtol=rel, atol=abs, equal_nan=False)

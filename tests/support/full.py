@@ -1,14 +1,14 @@
-"""How much tests do that repeat one thing: with ``pytest --full``, as in CI, all of it."""
+"""Option ``pytest --full``, as in CI: run all cases of repetitive tests instead of a sample."""
 
 WHOLE = False
 
 
 def configure(config):
-    """Take ``--full``, before tests are imported."""
+    """Read the option ``--full``. Call this before test modules are imported."""
     global WHOLE
     WHOLE = config.getoption("full")
 
 
-def sample(every, step=2):
-    """Return all of several, or each so many of them."""
-    return list(every)[:: 1 if WHOLE else step]
+def sample(cases, step=2):
+    """Return all cases with ``--full``, otherwise every ``step``-th case."""
+    return list(cases)[:: 1 if WHOLE else step]

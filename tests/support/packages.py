@@ -1,11 +1,11 @@
-"""Packages of others as installed: a folder with modules and what pip would note of them."""
+"""Plug-in packages written to a folder as if pip had installed them."""
 
 import tomllib
 from pathlib import Path
 
 
 def install(place, name, groups, modules, version="1.0"):
-    """Write a package: its entry points by group, its modules' text by name."""
+    """Write modules (texts by name) and metadata (entry points by group) into folder ``place``."""
     for module, text in modules.items():
         (place / f"{module}.py").write_text(text, encoding="utf-8")
     notes = place / f"{name.replace('-', '_')}-{version}.dist-info"
@@ -19,7 +19,7 @@ def install(place, name, groups, modules, version="1.0"):
 
 
 def install_project(folder, place):
-    """Install a folder that has a pyproject.toml and modules, as pip would."""
+    """Install a package, a folder with pyproject.toml and modules, into folder ``place``."""
     project = tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))["project"]
     modules = {
         path.stem: path.read_text("utf-8")

@@ -1,8 +1,8 @@
-"""Programs as forks of one process that has imported everything: `Forked` starts them.
+"""Fast starts of programs: `Forked` forks a server process that has imported all modules.
 
-A program that is started takes a second of processor time to import what it needs; a fork of a
-process that has, a fiftieth of that. What it inherits is what any program does: arguments,
-environment, folder and streams of whoever starts it, and the signals of a fresh interpreter.
+A normal start needs a second of processor time for imports; a fork needs a fiftieth of that. A
+forked program has its own arguments, environment, folder and streams, and the signal handlers of a
+new interpreter.
 """
 
 import atexit
@@ -25,7 +25,7 @@ from types import SimpleNamespace
 PROGRAM = Path(sys.executable).with_name("smarttouch")
 EMULATOR = [sys.executable, "-m", "smarttouch.emulator"]
 _SUBREAPER = 36
-"""PR_SET_CHILD_SUBREAPER of Linux: what a process of ours leaves behind becomes our child."""
+"""PR_SET_CHILD_SUBREAPER of Linux: orphaned descendants become children of this process."""
 _LONGEST = 1 << 20
 _MOST_FILES = 1 << 10
 _IMPORTED = (
@@ -41,23 +41,23 @@ _IMPORTED = (
 
 
 class _Server:
-    """The process that is forked, started when it is first needed."""
+    """Process that forks a copy of itself for each program."""
 
     def __init__(self):
         self._lock = threading.Lock()
         self._channel, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with its:
-            # Of the packages that the tests are of, not of their folders.
+            # -P: import the installed packages, not files beside this script.
             command = [sys.executable, "-P", __file__, str(its.fileno())]
             self._process = subprocess.Popen(command, pass_fds=[its.fileno()])
 
     def fork(self, request, streams):
-        """Fork a program; return its number. It is a child of this process."""
+        """Fork a program as a child of this process; return its process ID."""
         with self._lock:
             _adopt(True)
             try:
                 socket.send_fds(self._channel, [json.dumps(request).encode()], streams)
-                # One is of the program, once it is set up; the other, 0, says that it is ours.
+                # Two messages in any order: 0 after the reparenting, and the program's process ID.
                 return max(int(self._channel.recv(20)) for _ in range(2))
             finally:
                 _adopt(False)
@@ -67,19 +67,19 @@ class _Server:
         self._process.wait()
 
 
-class _Itself:
-    """What forks the boards of a program that is a fork: the program itself."""
+class _SelfServer:
+    """Replacement for `_Server` in a forked program, which forks itself to emulate a board."""
 
     def fork(self, request, streams):
-        # What waits to be written would be written twice.
+        # Text that is still buffered would be written by parent and child.
         for each in (sys.stdout, sys.stderr):
             each.flush()
         with warnings.catch_warnings():
-            # The child uses nothing of the program's other threads.
+            # Python warns of forks with threads, but the child does not use any of these threads.
             warnings.simplefilter("ignore", DeprecationWarning)
             if number := os.fork():
                 return number
-        # Nothing of the program: what it does at its end, on a signal, with its files.
+        # Drop what the child inherits: exit handlers, signal handlers and, below, open files.
         atexit._clear()
         signal.set_wakeup_fd(-1)
         for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -92,12 +92,12 @@ class _Itself:
 
 
 def emulator(device, *options):
-    """Return the command that emulates a device with options of its URL."""
+    """Return the command that emulates a device; ``options`` are those of its URL."""
     return [*EMULATOR, f"{device}?{'&'.join(options)}"]
 
 
 def forked_boards():
-    """Return what a driver has in place of subprocess, so that its board is a fork."""
+    """Return a replacement for module subprocess that lets a driver fork its emulated board."""
     return SimpleNamespace(**vars(subprocess) | {"Popen": Forked})
 
 
@@ -106,9 +106,9 @@ def _adopt(wanted):
 
 
 class Forked(subprocess.Popen):
-    """The program, the emulator or a script as a fork: started, used and ended like any other.
+    """Variant of `subprocess.Popen` that forks the program, the emulator and Python scripts.
 
-    Other commands are started as ever.
+    All other commands start as new processes, as in `subprocess.Popen`.
     """
 
     _server = None
@@ -142,29 +142,29 @@ class Forked(subprocess.Popen):
 
     @classmethod
     def end(cls):
-        """End the process that is forked, if there is one."""
+        """End the server process, if it was started."""
         if cls._server is not None:
             cls._server.close()
             cls._server = None
 
 
 def _serve(channel):
-    """Fork a program at each request; return what to run, in a fork, or None at the end."""
+    """Fork a program at each request. Return its main function in the fork, None at the end."""
     for module in _IMPORTED:
         import_module(module)
     import_module("smarttouch.cli")._built()
     driver = import_module("smarttouch.emulator.emulated_boards")
-    driver.subprocess, Forked._server = forked_boards(), _Itself()
-    # Many a test waits until all that a board has delivered is in its file.
+    driver.subprocess, Forked._server = forked_boards(), _SelfServer()
+    # Write the delivery log more often, because many tests wait for it.
     import_module("smarttouch.emulator.devices")._WRITE_EVERY_NS = 10_000_000
     gc.collect()
-    # A collector that passes over all this in each fork would copy it.
+    # Otherwise a garbage collection in a fork would write to these objects and so copy them.
     gc.freeze()
     while True:
         message, streams, _, _ = socket.recv_fds(channel, _LONGEST, 3)
         if not message:
             return None
-        # Its parent ends at once, so it goes to whoever asked.
+        # Fork twice: the process in between ends at once, so the requester adopts the program.
         between = os.fork()
         if not between:
             if os.fork():
@@ -181,7 +181,7 @@ def _serve(channel):
 
 
 def _main_of(request):
-    """Return what a request is to run: a module's main, or a script as the interpreter would."""
+    """Return the main function of a requested module, or a function that runs a script."""
     if request["module"] is not None:
         return import_module(request["module"]).main
     path = Path(request["arguments"][0]).resolve()
@@ -190,7 +190,7 @@ def _main_of(request):
 
 
 def _become(request, streams):
-    """Let this process be as if it had just been started."""
+    """Set up a forked process as a new one: session, folder, environment, arguments, streams."""
     registry = import_module("smarttouch.boards.run_registry")
     registry._begun_ns = registry._start_ns(os.getpid())
     if request["session"]:
@@ -214,7 +214,7 @@ def _become(request, streams):
 
 
 def _run_and_end(main):
-    """Run a program and end as the interpreter does, but for taking it to pieces."""
+    """Run a program and its exit handlers, then exit without clearing the interpreter."""
     code = 0
     try:
         main()

@@ -1,4 +1,4 @@
-"""The loop of a run in simulated time, and waiting for what another thread or process does."""
+"""Helpers that run the loop in simulated time, and that wait for threads and processes."""
 
 import time
 
@@ -10,7 +10,7 @@ from smarttouch.running.step import as_listeners
 
 
 def loop_through(source, pipeline, board, *listeners, **options):
-    """Deliver all that a source gives; return the statistics. Functions are called with steps."""
+    """Run the loop until the source ends; return its statistics. Listeners can be functions."""
     usual = {"stop": StopRequest(), "statistics": RunStatistics(), "clock": SimulatedClock(),
              "controls": Controls(ControlState(pipeline.mode))}  # fmt: skip
     options = usual | options
@@ -19,22 +19,22 @@ def loop_through(source, pipeline, board, *listeners, **options):
 
 
 HANGS_S = 60.0
-"""Only what never comes takes that long."""
+"""Timeout of tests: only a hang takes longer, even on a busy computer."""
 
 
 def until(holds):
-    """Wait until something holds; return what it gives."""
+    """Call ``holds`` repeatedly until its result is true; return this result."""
     deadline_s = time.monotonic() + HANGS_S
     while not (found := holds()):
-        assert time.monotonic() < deadline_s, "it never came true"
+        assert time.monotonic() < deadline_s, f"no success within {HANGS_S:g} s"
         time.sleep(0.002)
     return found
 
 
 def undisturbed(attempt):
-    """Return what an attempt gives besides a run's statistics, once nothing was late in that run.
+    """Repeat an attempt until its run had no late sequence; return all results but the statistics.
 
-    After a delay of the computer a run rises again: what it does in between is asked elsewhere.
+    A late sequence restarts the ramp, which changes the results. Other tests cover restarts.
     """
 
     def on_time():

@@ -1,4 +1,4 @@
-"""Scan sequences from bare currents, boards for them without a finger, and an opened level."""
+"""Helpers that make scan sequences and boards without a finger, and that complete the ramp."""
 
 import math
 from dataclasses import replace
@@ -15,7 +15,7 @@ from smarttouch.stimulation.sequence_limits import STRENGTH, Exposure, prove_seq
 
 
 def sequence(currents, widths=200, *, electrodes=4, discharge_us=100, **other):
-    """Return a sequence of these currents in µA, a slot a row, at full intensity after a second."""
+    """Return a sequence with a slot for each row of currents, µA; by default at full intensity."""
     currents = np.asarray(currents, np.int16).reshape(-1, electrodes)
     slots = len(currents)
     return ScanSequence(
@@ -37,21 +37,21 @@ def unproved(
     strength_ppb=0,
     peak_ua=0,
 ):
-    """Return a sequence as if a gate had proved it."""
+    """Return a `ProvedSequence` that no gate has proved."""
     fields, forged = locals(), object.__new__(ProvedSequence)
     vars(forged).update(fields)
     return forged
 
 
 def prove_alone(profile, sequence):
-    """Prove all limits of a sequence but the ramp, as if nothing had come before it."""
+    """Check all limits of a sequence except the ramp, without earlier sequences."""
     limits = SafetyLimits.of(profile)
     load = prove_sequence(frozen(sequence), limits, parts_per_billion(sequence.intensity))
     Exposure(limits).enter(sequence.time_ns, sequence.period_us, 1, load, flows=True)
 
 
 def board_without_finger(profile, kind=MemoryDriver, **options):
-    """Return the board of a profile, with a driver of this kind."""
+    """Return a board that is not on a finger, with limits of a profile and a driver class."""
     limits = SafetyLimits.of(profile)
     driver = kind("", limits, profile.output)
     usual = {"on_a_finger": False, "claimed_time": True}
@@ -59,11 +59,11 @@ def board_without_finger(profile, kind=MemoryDriver, **options):
 
 
 def open_level(send, like, limits, time_ns=0, clock=None, electrodes=(0, 1)):
-    """Send a silent sequence and weak ones for less than a second; then any intensity is open.
+    """Complete the ramp: send a sequence of zero intensity, then weak ones of rising intensity.
 
-    Sequences are like the one given, through two electrodes; the silent one claims ``time_ns``,
-    those after it up to a second more, by which the clock of a gate, if given, is moved on. The
-    limits' ramp takes half a second at most.
+    They are copies of ``like`` with current through two electrodes. Their times begin at
+    ``time_ns`` and span less than a second. ``clock``, if any, is the clock of a gate; it advances
+    by a second. The ramp of ``limits`` must not exceed half a second.
     """
     first = np.zeros(2, np.uint16)
     weak = np.zeros((2, like.current_ua.shape[1]), np.int16)
@@ -93,7 +93,7 @@ def open_level(send, like, limits, time_ns=0, clock=None, electrodes=(0, 1)):
         if step < steps:
             share = (step + 1) / steps
             current = np.zeros_like(weak)
-            # The least that counts for as much as it claims, and leaves no charge.
+            # The least current that reaches this intensity; the two slots cancel their charge.
             least_ua = math.ceil(share * limits.full_ua / STRENGTH)
             current[:, list(electrodes)] = [[least_ua, -least_ua], [-least_ua, least_ua]]
             send(
@@ -107,8 +107,8 @@ def one_each(
     limits, level_ua, width_us, intensity, time_ns, *, cathodic, sites=None, discharge_us=100,
     period_us=0,
 ):  # fmt: skip
-    """Return a scan of one slot for each site, by default each that is not masked: it carries
-    ``level_ua``, and all others that are not masked return it equally. At level 0 there is none."""
+    """Return a scan with one slot per site (default: each unmasked electrode) at ``level_ua``. All
+    other unmasked electrodes share the return current. At level 0 the scan has no slots."""
     unmasked = np.delete(np.arange(limits.electrodes), limits.masked)
     sites = np.asarray(unmasked if sites is None else sites, np.uint16)[: None if level_ua else 0]
     currents = np.zeros((len(sites), limits.electrodes), np.int16)
