@@ -1,4 +1,4 @@
-"""The parts of the program ``examples/fit_fibers``."""
+"""Access for tests to the modules of the program ``examples/fit_fibers``."""
 
 import sys
 from pathlib import Path

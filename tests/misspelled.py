@@ -1,4 +1,4 @@
-"""A program with misspelled names, settings and attributes, each marked: never run."""
+"""Test case for type checkers: they must report each marked misspelling. It never runs."""
 
 from pathlib import Path
 
@@ -8,11 +8,11 @@ import smarttouch as st
 
 
 class Strongest(st.Lisener):  # wrong
-    """Keeps the strongest current."""
+    """Listener of a misspelled base class."""
 
 
 def misspell(path: Path) -> None:
-    """Run, show and record."""
+    """Use misspelled names in a run, a session and a recording."""
     profile = st.load_profil("electric-mouse")  # wrong
     whole: st.Profile = st.load_profile(nam="electric-mouse")  # wrong
     print(profile, whole.electrods)  # wrong

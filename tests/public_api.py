@@ -1,7 +1,7 @@
-"""Public names, compared with those of the last release in ``public_api.json``.
+"""Comparison of the public names with those of the last release, in ``public_api.json``.
 
-``python -m tests.public_api`` writes the file for the next release; after 1.0 not while a name is
-gone that was not announced ("Stability" on the page of Python).
+``python -m tests.public_api`` writes the file for the next release. From 1.0 on it refuses while a
+name is missing that was not deprecated first ("Stability" in ``docs/reference/python.md``).
 """
 
 import inspect
@@ -15,17 +15,17 @@ from smarttouch import lab, plugins, testing, types
 RELEASED = Path(__file__).with_suffix(".json")
 MODULES = smarttouch, types, plugins, testing, lab
 MESSAGE = re.compile(r"since (\d+)\.(\d+), removed in (\d+)\.(\d+): use (\S.*)")
-"""What the message of a deprecated name says."""
+"""Format that each deprecation message must have."""
 
 
 def names_of(module):
-    """Return the public names of a module; pytest adds others to what is installed with it."""
+    """Return the public names of a module, without names such as ``@py_builtins`` of pytest."""
     names = getattr(module, "__all__", vars(module))
     return {each for each in names if each[0] != "_" and each.isidentifier()}
 
 
 def described(name, value):
-    """Yield a name and its parameters, each with its message of deprecation or ""."""
+    """Yield a name and its parameters, each with its deprecation message (default: "")."""
     inner = getattr(value, "fget", None) or getattr(value, "__func__", value)
     yield name, getattr(inner, "__deprecated__", "")
     made = value.__init__ if inspect.isclass(value) else getattr(value, "__func__", value)
@@ -36,7 +36,7 @@ def described(name, value):
 
 
 def members_of(owner):
-    """Yield name and value of what a class of the package has for users; None for an attribute."""
+    """Yield name and value of each class member from the package; None if it is only annotated."""
     bases = [each for each in owner.__mro__ if each.__module__.startswith("smarttouch")]
     for base in reversed(bases):
         yield from dict.fromkeys(inspect.get_annotations(base)).items()
@@ -44,9 +44,9 @@ def members_of(owner):
 
 
 def public_names():
-    """Return each public name, ``module.Name.member.parameter``, with its message of deprecation.
+    """Return the deprecation message of each public name, as ``module.Name.member.parameter``.
 
-    A value that two modules have is described in the first.
+    The members of a class that two modules export are listed only under the first module.
     """
     found, seen = {}, set()
     for module in MODULES:
@@ -62,7 +62,7 @@ def public_names():
 
 
 def unannounced(before, names, version):
-    """Return the names that are gone and were not announced for this version."""
+    """Return the missing names whose removal was not announced for this version or earlier."""
     gone = []
     for name in sorted({*before["names"]} - {*names}):
         parts = name.split(".")
@@ -76,27 +76,26 @@ def unannounced(before, names, version):
 
 
 def read_released():
-    """Return names and messages of deprecation of the last release, and whether it is 1.0 or later:
-    a release candidate is not."""
+    """Return names and deprecation messages of the last release, and whether it is 1.0 or later."""
     read = json.loads(RELEASED.read_text("utf-8"))
     names = [
         f"{owner}{each}" for owner, rest in read["names"].items() for each in ["", *rest.split()]
     ]
-    promised = re.fullmatch(r"[1-9]\d*[.\d]+", read["version"]) is not None
+    promised = re.fullmatch(r"[1-9]\d*[.\d]+", read["version"]) is not None  # no 1.0rc1
     return {"promised": promised, "names": names, "deprecated": read["deprecated"]}
 
 
 def number_of(version):
-    """Return major and minor number of a version."""
+    """Return the major and the minor number of a version."""
     return tuple(int(each) for each in version.split(".")[:2])
 
 
 def main():
-    """Write the names of this version, where nothing vanished that was not announced."""
+    """Write ``public_api.json``, unless a name was removed without an announcement."""
     names, before = public_names(), read_released()
     gone = unannounced(before, names, number_of(smarttouch.__version__))
     if gone and before["promised"]:
-        raise SystemExit(f"not announced by the last release: {', '.join(gone)}")
+        raise SystemExit(f"removed without deprecation, restore: {', '.join(gone)}")
     rests: dict[str, str] = {}
     for name in sorted(names):
         module = next(

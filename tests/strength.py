@@ -1,13 +1,13 @@
-"""Insert faults into the package, one at a time, and count those that the tests find.
+"""Mutation test: insert faults into the package one at a time and count those that tests find.
 
-    python -m tests.strength map                 # which test runs which line; needs pytest-cov
+    python -m tests.strength map                 # record which test runs which line (pytest-cov)
     python -m tests.strength run [FOLDER ...]    # insert faults, write build/strength.jsonl
     python -m tests.strength table               # print the table of tests/strength.md
-    python -m tests.strength check               # see whether faults can be inserted
+    python -m tests.strength check               # check that all faults can be inserted
 
-``run`` works on copies of the tree. Of the tests that run the faulty line it takes those of most
-files first, the fastest of each file, for at most ``BUDGET_S`` of their time. A fault is found if
-a test fails, and fails again. Stop ``run`` at any time; it goes on where it was.
+``run`` works on copies of the repository. It takes the fastest test of each file that runs the
+faulty line, then the second fastest, and so on, up to ``BUDGET_S`` seconds. A fault is found if a
+test fails twice with the fault and passes without it. ``run`` can be interrupted and continued.
 """
 
 import argparse
@@ -40,7 +40,7 @@ WORDS = {"and": "or", "or": "and"}
 
 
 def faults_of(path):
-    """Return each fault of a file as line, kind, and the whole text with the fault."""
+    """Return all possible faults of a file, each as line, kind, and text of the changed file."""
     text = path.read_text("utf-8")
     starts = [0, *(match.end() for match in re.finditer("\n", text))]
     encoded = [line.encode() for line in text.split("\n")]
@@ -93,7 +93,7 @@ def faults_of(path):
         yield from of_node(node)
         for name, value in ast.iter_fields(node):
             if name in ("annotation", "returns", "decorator_list") or isinstance(node, ast.Raise):
-                continue  # types and messages
+                continue  # not types, decorators or error messages
             for inner in value if isinstance(value, list) else [value]:
                 if isinstance(inner, ast.AST):
                     yield from visit(inner)
@@ -102,7 +102,7 @@ def faults_of(path):
 
 
 def choose(faults, critical, seed, without):
-    """Return faults, spread by lines over the files; ``critical`` of them in CRITICAL folders."""
+    """Draw faults at random, weighted by file length, at least ``critical`` in CRITICAL folders."""
     files = [
         path
         for path in sorted(Path("smarttouch").rglob("*.py"))
@@ -122,7 +122,7 @@ def choose(faults, critical, seed, without):
 
 
 def listed():
-    """Return the faults that tests/strength.md lists, by file, kind and line of code."""
+    """Return the faults that tests/strength.md lists by file, kind and source line."""
     chosen, missing = {}, []
     page = Path(__file__).with_suffix(".md").read_text("utf-8")
     for file, kind, source in re.findall(r"^- `(\S+\.py)` ([\w/ ]+): `(.*)`$", page, re.M):
@@ -134,12 +134,12 @@ def listed():
         else:
             missing.append(f"{file}: {source}")
     if missing:
-        sys.exit("\n".join(["tests/strength.md lists lines that are gone:", *missing]))
+        sys.exit("\n".join(["tests/strength.md lists faults in missing lines:", *missing]))
     return chosen
 
 
 def check(options):
-    """See whether the listed faults, and those that would be chosen, can be inserted."""
+    """Check that the listed and the drawn faults change the code, and that it still compiles."""
     options.listed = False
     for faults in (listed(), chosen_faults(options)):
         for (file, line, kind), text in faults.items():
@@ -149,7 +149,7 @@ def check(options):
 
 
 def chosen_faults(options):
-    """Return the faults that the command line asks for."""
+    """Return the faults that the command-line options select."""
     if options.listed:
         chosen = listed()
     else:
@@ -163,8 +163,7 @@ def chosen_faults(options):
 
 
 def tests_of_lines():
-    """Return a function from file and line to the tests that run it, the fastest of each file
-    first."""
+    """Return a function that finds the tests to run for a fault, given its file and line."""
     seconds = collections.defaultdict(float)
     for match in re.finditer(r"^([\d.]+)s \w+ +(\S.*)$", DURATIONS.read_text("utf-8"), re.M):
         seconds[match[2]] += float(match[1])
@@ -180,7 +179,7 @@ def tests_of_lines():
     def find(path, line):
         byte, bit = divmod(line, 8)
         runs = {test for test, bits in table[path] if byte < len(bits) and bits[byte] >> bit & 1}
-        runs = runs or {test for test, _ in table[path]}  # a line that runs at import
+        runs = runs or {test for test, _ in table[path]}  # runs at import: all tests of the file
         by_file = collections.defaultdict(list)
         for test in sorted(runs, key=lambda test: (seconds[test], test)):
             by_file[test.partition("::")[0]].append(test)
@@ -197,7 +196,7 @@ def tests_of_lines():
 
 
 def failing(folder, tests):
-    """Return the first test that fails, "" if none does, or how the run ended."""
+    """Return the first test that fails, "" if all pass, or the reason why pytest stopped."""
     command = [sys.executable, "-m", "pytest", "-n0", "-xq", "-p", "no:cacheprovider", "--tb=no"]
     environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
     try:
@@ -212,7 +211,7 @@ def failing(folder, tests):
 
 
 def judge(folder, fault, text, tests):
-    """Return a fault with the test that finds it: that fails twice, and passes without it."""
+    """Return a record of a fault, with the test that fails twice with it and passes without it."""
     path, line, kind = fault
     file = folder / path
     before, left, found = file.read_text("utf-8"), list(tests), ""
@@ -230,7 +229,7 @@ def judge(folder, fault, text, tests):
 
 
 def run(options):
-    """Insert the faults that have no result yet."""
+    """Test the selected faults that have no result in RESULTS yet."""
     chosen = chosen_faults(options)
     done = set()
     if RESULTS.exists():
@@ -260,7 +259,7 @@ def run(options):
 
 
 def table(_):
-    """Print what was found by folder, and the faults that survive."""
+    """Print the share of faults found in each folder, and the faults that no test found."""
     rows = [json.loads(line) for line in RESULTS.read_text("utf-8").splitlines()]
     by_folder = collections.defaultdict(list)
     for row in rows:
@@ -275,7 +274,7 @@ def table(_):
 
 
 def map_tests(_):
-    """Run the suite with coverage by test."""
+    """Run all tests and record the lines that each test runs."""
     BUILD.mkdir(exist_ok=True)
     COVERAGE.unlink(missing_ok=True)
     command = [sys.executable, "-m", "pytest", "-q", "--cov=smarttouch", "--cov-context=test"]
@@ -284,27 +283,29 @@ def map_tests(_):
         more = ["--cov-report=", "--durations=0", "--durations-min=0"]
         subprocess.run([*command, *more], stdout=file, env=environment, check=False)
     if not COVERAGE.exists():
-        sys.exit(f"no coverage was measured: is pytest-cov installed? {DURATIONS} has the output")
+        sys.exit(f"no coverage was measured: install pytest-cov, or see {DURATIONS} for errors")
 
 
 def main():
-    """Read the command line."""
+    """Run the command given on the command line."""
     parser = argparse.ArgumentParser(prog="tests.strength", description=__doc__)
     commands = parser.add_subparsers(required=True)
     commands.add_parser("map").set_defaults(function=map_tests)
     commands.add_parser("table").set_defaults(function=table)
     runner = commands.add_parser("run")
     runner.set_defaults(function=run)
-    runner.add_argument("--copies", type=int, default=2, help="run this many at once")
-    runner.add_argument("--listed", action="store_true", help="the faults of tests/strength.md")
+    runner.add_argument("--copies", type=int, default=2, help="number of faults tested at once")
+    runner.add_argument("--listed", action="store_true", help="only those in tests/strength.md")
     checker = commands.add_parser("check")
     checker.set_defaults(function=check)
     for command in (runner, checker):
-        command.add_argument("folders", nargs="*", help="those in these, such as boards; or all")
+        command.add_argument("folders", nargs="*", help="only these folders, such as boards")
         command.add_argument("--faults", type=int, default=300)
-        command.add_argument("--critical", type=int, default=60, help="in stimulation and boards")
+        command.add_argument(
+            "--critical", type=int, default=60, help="minimum in stimulation and boards"
+        )
         command.add_argument("--seed", type=int, default=4)
-        command.add_argument("--without", default="^$", help="leave out paths that match")
+        command.add_argument("--without", default="^$", help="regex of paths to leave out")
     options = parser.parse_args()
     options.function(options)
 

@@ -1,4 +1,4 @@
-"""Programs of examples/clients, in other languages, drive a run through its socket."""
+"""Tests of examples/clients: programs in other languages drive a run through its socket."""
 
 import json
 import shutil
@@ -23,7 +23,7 @@ COMMANDS = {
 def test_a_client_shows_puts_and_stops(name, tmp_path):
     command, programs = COMMANDS[name]
     if missing := [program for program in programs if shutil.which(program) is None]:
-        pytest.skip(f"needs {missing[0]}")
+        pytest.skip(f"{missing[0]} is not installed")
     shutil.copy(CLIENTS / name, tmp_path)
     if "mcs" in programs:
         subprocess.run(["mcs", name], cwd=tmp_path, check=True, capture_output=True)

@@ -1,4 +1,4 @@
-"""README and docs: their Python runs, their commands exist, those of the first hour run too."""
+"""Tests that Python blocks in README and docs run, and that commands exist or also run."""
 
 import ast
 import os
@@ -42,11 +42,11 @@ SHORT = {
     "braille-display": (str(free_port()), "--seconds", "1"),
     "experiment": ("--board", "simulated:"),
 }
-"""Arguments of commands that run until somebody ends them, or for minutes."""
+"""Extra arguments that shorten commands which would run for minutes or until interrupted."""
 
 
 def commands(text):
-    """Yield the words of each command in a block of a shell."""
+    """Yield the words of each command in a block of shell code."""
     for line in text.splitlines():
         parts = (shlex.split(part, comments=True) for part in line.removeprefix("$ ").split("&&"))
         yield from filter(None, parts)
@@ -70,7 +70,7 @@ def test_python_runs(page, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_the_program_takes_each_command(page):
-    """The command and its options exist; a board that they name may not."""
+    """The command and its options must exist; the board that they name need not."""
     for words in commands_of_the_program(page):
         command, rest = get_command(app), list(words)
         while rest and isinstance(command, TyperGroup) and rest[0] in command.commands:
@@ -80,7 +80,7 @@ def test_the_program_takes_each_command(page):
 
 
 def run(words, folder):
-    """Return what a command of a page prints; none if it sets up the reader's environment."""
+    """Return the output of a command; do not run one that sets up the reader's environment."""
     name, *rest = Path(words[0]).name, *words[1:]
     if name == "smarttouch":
         rest = ["frequency?repetitions=1" if word == "frequency" else word for word in rest]
@@ -105,9 +105,9 @@ def run(words, folder):
 
 @pytest.mark.parametrize("page", [README, TUTORIAL], ids=lambda page: page.stem)
 def test_the_first_hour_goes_as_written(page, tmp_path):
-    """Output blocks are printed, but for their numbers and what an ellipsis stands for."""
+    """Commands print the output blocks of the page, except for numbers and text elided by …."""
     if page is TUTORIAL and not WHOLE:
-        pytest.skip("long: with --full, as in .ci/run")
+        pytest.skip("runs for minutes: pass --full to pytest")
     said = ""
     for block in BLOCK.finditer(page.read_text("utf-8")):
         if block["file"]:
@@ -125,14 +125,14 @@ def plain(text):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_links_between_files_hold(page):
-    """Sphinx looks after links of docs; this is for those who read the files where they lie."""
+    """Sphinx checks links of the built pages; this test checks links of the source files."""
     for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text("utf-8")):
         made = "gallery/" in target or GENERATED in (page.parent / target).resolve().parents
         assert made or (page.parent / target).exists(), target
 
 
 def test_pages_are_few_and_short():
-    """Decisions, changes and what is made from the code or stands beside the firmware aside."""
+    """Excluded are decisions, the changelog, pages made from code, and pages on the firmware."""
     apart = {"changes", "gallery", "index", "python", "profile-keys", "link", "firmware"}
     words = {
         page: len(page.read_text("utf-8").split())
@@ -174,7 +174,7 @@ def test_the_gallery_has_each_program_in_a_section():
 
 def test_modules_that_pages_name_are_there():
     text = "\n".join(page.read_text("utf-8") for page in PAGES)
-    # The last part may be a name of the module, or a group of entry points.
+    # The last part can be a member of the module, or a group of entry points.
     named = set(re.findall(r"`(smarttouch(?:\.[a-z_]+)+)(?:\.[A-Z]\w*)?`", text))
     named -= {f"smarttouch.{group}" for group in ("boards", "sources", "forces", "experiments")}
     places = {name: (name, name.rpartition(".")[0]) for name in named}

@@ -1,4 +1,4 @@
-"""The scripts of examples/ run as they stand, and show every public name."""
+"""Tests that the scripts in examples/ run, and that together they use every public name."""
 
 import re
 import runpy
@@ -18,25 +18,25 @@ LONG = (
     "frequency_discrimination", "irregular_array", "own_kernels", "paper_effects", "read_a_page",
     "strength_duration",
 )  # fmt: skip
-"""Programs that the gallery alone runs, whenever the pages are built."""
+"""Slow scripts, which run only when the gallery of the documentation is built."""
 
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory):
-    """One cache for all examples, as their reader has: kernels are designed once."""
+    """Return a cache folder for all scripts, so that kernels are designed only once."""
     return tmp_path_factory.mktemp("cache")
 
 
 @pytest.mark.parametrize("path", sample(SCRIPTS, 8), ids=lambda path: path.stem)
 def test_it_runs(path, cache, tmp_path, monkeypatch, capsys):
     if path.stem in LONG:
-        pytest.skip("long: run where the pages are built")
+        pytest.skip("slow: runs when the documentation is built")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     monkeypatch.setenv("MPLBACKEND", "agg")
     runpy.run_path(str(path), run_name="__main__")
     if (pyplot := sys.modules.pop("matplotlib.pyplot", None)) is not None:
-        # Figures of later tests are nobody's to close.
+        # Close the figures, so that later tests do not see them.
         pyplot.close("all")
     assert capsys.readouterr().out
     assert [*tmp_path.iterdir()] == []

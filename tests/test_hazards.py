@@ -1,4 +1,4 @@
-"""Each hazard has a cause and a control, and names tests that exist and are run."""
+"""Tests that each hazard in docs/safety/hazards.md has a cause, a control and existing tests."""
 
 import ast
 import re

@@ -1,4 +1,4 @@
-"""Every key of a profile stands in the documentation with its type, limits and meaning."""
+"""Tests that the documentation has every profile key with its type, limits and meaning."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The public names: few, described, with examples that run, and cheap to import."""
+"""Tests of the public names: their number, docstrings, examples, imports and types."""
 
 import ast
 import doctest
@@ -42,7 +42,7 @@ def test_every_function_has_an_example_that_runs(name):
 
 
 def test_importing_it_imports_nothing_heavy():
-    """Nor does its command line, before a command is chosen, or what everyone's pytest loads."""
+    """The command line, before a command is chosen, and the pytest plug-in obey this as well."""
     code = (
         "import sys, smarttouch; print(*sys.modules); "
         "import smarttouch.cli, smarttouch.testing.pytest_plugin; print(*sys.modules)"
@@ -110,7 +110,7 @@ def test_all_are_on_the_page_in_the_part_of_their_module():
 
 
 def imported(code):
-    """Yield module and name of all that a program imports from the package."""
+    """Yield module and name of each import of a program; the name is None if there is none."""
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import):
             for each in node.names:
@@ -154,11 +154,11 @@ CHECKERS = [("mypy", "--strict"), ("pyright", "--pythonpath", sys.executable)]
 @pytest.mark.long
 @pytest.mark.parametrize("checker", CHECKERS, ids=lambda each: each[0])
 def test_misspellings_are_all_that_is_found(checker):
-    """In one run: a checker reads the package each time."""
+    """A type checker reads the whole package in each run, so one run checks all programs."""
     if importlib.util.find_spec(checker[0]) is None:
         pytest.skip(f"{checker[0]} is not installed")
     if checker[0] == "pyright" and shutil.which("node") is None:
-        pytest.skip("pyright would load a Node.js of its own")
+        pytest.skip("pyright would download Node.js: install it as node")
     done = subprocess.run(
         [sys.executable, "-m", *checker, *map(str, [PROGRAM, *RIGHT])],
         capture_output=True, text=True, timeout=500, check=False, cwd=PROGRAM.parents[1],
@@ -167,6 +167,6 @@ def test_misspellings_are_all_that_is_found(checker):
     assert len(WRONG) >= 17
     found = re.findall(r"(\w+)\.py:(\d+):.*error", done.stdout)
     assert {(name, int(line)) for name, line in found} == {("misspelled", each) for each in WRONG}
-    # Which it says of how many it has read.
+    # mypy reports the number of files that it has checked.
     if checker[0] == "mypy":
         assert f"checked {1 + len(RIGHT)} source files" in done.stdout

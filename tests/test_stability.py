@@ -1,4 +1,4 @@
-"""No public name goes that a release did not announce."""
+"""Tests that public names disappear only after a deprecation in an earlier release."""
 
 import inspect
 
@@ -13,7 +13,7 @@ NAMES = public_names()
 
 
 def test_no_name_of_the_last_release_is_gone_unannounced():
-    # Before 1.0: say in CHANGELOG.md what went, then python -m tests.public_api.
+    # Before 1.0: list removed names in CHANGELOG.md, then run python -m tests.public_api.
     before = read_released()
     assert unannounced(before, NAMES, number_of(smarttouch.__version__)) == []
     assert len(before["names"]) > 1000
@@ -28,7 +28,7 @@ def test_a_deprecation_names_its_versions_and_its_replacement():
 
 
 class Old:
-    """A class with a member that goes."""
+    """Example of a class with a deprecated method."""
 
     @deprecated("since 1.1, removed in 2.0: use rise")
     def lift_to(self, level):
