@@ -1,5 +1,4 @@
-"""The packages of the examples, and those that the how-tos write, work; sources of stimuli
-keep their contract."""
+"""Tests of the example plug-ins, of the package in a how-to page, and of stimulus sources."""
 
 import re
 import subprocess
@@ -21,7 +20,7 @@ EXAMPLES = ROOT / "examples" / "plugins"
 
 @pytest.fixture
 def program(tmp_path, monkeypatch):
-    """Return what runs Python where both are installed."""
+    """Return a function that runs Python with the example plug-ins installed."""
     place = tmp_path / "site"
     place.mkdir()
     for name in ("board", "source", "stimulus"):

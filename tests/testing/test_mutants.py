@@ -1,5 +1,4 @@
-"""The contracts find each way in which a driver sends another thing than was proved, and what is
-broken in boards, sources and forces."""
+"""Tests that the plug-in contracts find faulty drivers, boards, sources and forces."""
 
 import re
 import subprocess
@@ -28,7 +27,7 @@ class Changed(own.TestJournal):
 
 
 class Sent(NamedTuple):
-    # What stands for a proved sequence.
+    # A changed sequence, with the proved one that it replaces.
 
     proved: object
     sequence: object
@@ -36,7 +35,7 @@ class Sent(NamedTuple):
 
 
 class Lent:
-    # A line that lets through whatever stands for a proved sequence.
+    # A line that accepts a `Sent` because it checks only the proved sequence inside.
 
     def __init__(self, line):
         self.line = line
@@ -94,7 +93,7 @@ class TestTwice(Changed):
 
 
 class Around:
-    # No line: whatever is written goes to the file.
+    # A fake line without checks, so that each write reaches the file.
 
     def current(self, proved=None):
         return contextlib.nullcontext()
@@ -150,11 +149,11 @@ FOUND = {
     "StopsNot": CLOSES | {ANY_LINE}, "StopsLater": {ANY_LINE}, "ClosesWithCurrent": CLOSES,
 }  # fmt: skip
 DRAWN = ("FiftiethMore", "Unbalanced", "LooksTooEarly", "StopsLater", "ClosesWithCurrent")
-"""One of each kind."""
+"""Mutants to run without ``--full``: one for each kind of fault."""
 
 
 def failed(folder, text, *options):
-    """Return the names of tests that fail in a file of this text, by the class they are of."""
+    """Run pytest on a file with this text; return the names of failing tests by class."""
     (folder / "test_them.py").write_text(text, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-rf", "--tb=no", "-p", "no:cacheprovider",

@@ -1,4 +1,4 @@
-"""A real browser, Debian's Chromium, where it is installed; and axe-core, where that is."""
+"""Chromium and the accessibility checker axe-core, for tests of the window page."""
 
 import shutil
 from contextlib import contextmanager
@@ -12,15 +12,15 @@ ARGUMENTS = (
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 )  # fmt: skip
 AXE = Path(__file__).parents[2] / "build/axe/node_modules/axe-core/axe.min.js"
-"""Script of axe-core: see `.ci/run`."""
+"""Script of axe-core, installed by `.ci/run`."""
 
 
 @contextmanager
 def chromium():
-    """Yield a browser; skip where there is none."""
+    """Yield a Chromium browser; skip the test if Chromium or Playwright is missing."""
     playwright = pytest.importorskip("playwright.sync_api")
     if CHROMIUM is None:
-        pytest.skip("there is no Chromium: apt install chromium")
+        pytest.skip("Chromium is not installed: apt install chromium")
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(ARGUMENTS))
         try:
@@ -31,13 +31,13 @@ def chromium():
 
 @contextmanager
 def opened(browser, address, width=1440, height=900, **options):
-    """Yield a page; fail if a script of it failed or something was not loaded."""
+    """Yield an open page; afterwards fail if a script of the page or a request failed."""
     wrong = []
     page = browser.new_page(viewport={"width": width, "height": height}, **options)
     page.on("pageerror", lambda error: wrong.append(str(error)))
 
     def failed(request):
-        # A stop is said twice: once one is heard, nobody may be there for the other.
+        # The page also sends a stop by its socket, which can end the server before this request.
         if not request.url.endswith("/stop"):
             wrong.append(request.url)
 

@@ -1,4 +1,4 @@
-"""Runs with a window, in a thread of this process, on a board that keeps what it is sent."""
+"""Fixtures for runs with a window, each in a thread, on a board that keeps its sequences."""
 
 import threading
 from contextlib import contextmanager
@@ -21,7 +21,7 @@ CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
 
 
 class Spots(StimulusSource):
-    """Gives electrodes at random, others each time, with an image of as many pixels."""
+    """Stimulus source that activates random electrodes and returns random images."""
 
     knows_force = True
 
@@ -44,18 +44,18 @@ class Spots(StimulusSource):
 
 
 class Run:
-    """A run with a window."""
+    """Run with a window, in a thread of this process."""
 
     def __init__(self, profile, source, board, rate_hz=None, **options):
         self.stop, self.results = StopRequest(), {}
         self.display, self.source = st.open_display(board, profile), source
-        # A page that waits for a processor does not hang.
+        # On a busy computer a page can be slow to answer: do not count it as lost too early.
         usual = {"keys": source.keys, "show": lambda _: None, "lost_s": WAIT_S}
         self.window = Window(self.stop, **usual | options)
         self.board = self.display.board
         self.runner = Runner(
             source, self.display, st.RunConfig(intensity=1.0, rate_hz=rate_hz), stop=self.stop,
-            # Kept before a page can show it.
+            # `keep` comes first, so that a page shows only stored results.
             listeners=[self.keep, self.window],
         )  # fmt: skip
         self.thread = threading.Thread(target=self.runner.run)
@@ -71,21 +71,21 @@ class Run:
         return self.window.steering.controls.state(0)
 
     def ended(self):
-        """Wait for the end; return how it came."""
+        """Wait for the end of the run; return the reason why it ended."""
         self.thread.join(WAIT_S)
         return self.runner.statistics.ended
 
 
 @pytest.fixture(scope="package")
 def browser():
-    """One browser for all tests here: starting one takes longer than most of them."""
+    """Yield one browser for all tests of the folder, because starting it is slow."""
     with chromium() as found:
         yield found
 
 
 @pytest.fixture
 def running(profile):
-    """Return a context of a run with a window, which is stopped at its end."""
+    """Return a context manager that starts a run with a window and finally stops it."""
 
     @contextmanager
     def run(source=None, board="memory:", **options):
@@ -119,7 +119,7 @@ PIXELS = """array => {
 
 
 def drawn(page, profile):
-    """Return the color of each electrode on the canvas, and what it says it shows."""
+    """Return the color of each electrode on the canvas, and the numbers of sequence and slot."""
     electrodes = profile.electrodes
     return page.evaluate(PIXELS, {
         "extent": [each + 2 * MARGIN_MM for each in electrodes.extent_mm],
@@ -129,7 +129,7 @@ def drawn(page, profile):
 
 
 def colors(current_ua, profile):
-    """Return the color of each electrode, (E, 3), as the page's own rule has it."""
+    """Return the color that the page must give each electrode, RGB, (E, 3)."""
     part = current_ua / (1000 * float(profile.full_ma.max()))
     target = np.where(part[:, None] < 0, ANODIC, CATHODIC)
     share = np.minimum(1, np.abs(part))[:, None]
@@ -137,7 +137,7 @@ def colors(current_ua, profile):
 
 
 def strongest(sequence):
-    """Return the strongest current of each electrode, (E,) µA."""
+    """Return the strongest current of each electrode in a sequence, (E,) µA."""
     current = sequence.current_ua.astype(int)
     if not len(current):
         return np.zeros(current.shape[1], int)

@@ -1,4 +1,4 @@
-"""Pictures of what was felt show current where it was delivered, and spikes by class."""
+"""Tests of pictures that show delivered current and spikes at their places on the page."""
 
 import numpy as np
 import pytest
@@ -17,12 +17,12 @@ from smarttouch.views.delivered_drawing import PageDrawing, SpikeMap
 from ..support.checks import raises
 
 AREA = ((0.0, 0.0), (200, 300), 0.1)
-"""Of the whole page."""
+"""The whole page: corner (mm), height and width (pixels), and mm per pixel."""
 
 
 @pytest.fixture
 def drawing(profile, make_bank):
-    """An array whose receptors answer only to anodic current of their own electrode."""
+    """Return a drawing in which a receptor responds only to anodic current of its electrode."""
     own = -np.eye(64, dtype=np.float32)
     sheet = Sheet(0, Page(np.full((200, 300), 255, np.uint8), 0.1))
     return PageDrawing(profile, make_bank(own, own), (Afferent.RA,), lambda: sheet)
@@ -62,10 +62,10 @@ def test_a_pulse_is_drawn_where_the_electrode_was(drawing, angle, side):
 
 
 @pytest.mark.parametrize(("current_ua", "x_mm", "number"), [
-    (2000, 12.0, 1),  # cathodic: RA does not answer
+    (2000, 12.0, 1),  # cathodic: RA does not respond
     (-1200, 12.0, 1),  # below threshold
     (-2000, -50.0, 1),  # off the page
-    (-2000, 12.0, 2),  # of another sequence
+    (-2000, 12.0, 2),  # number of another sequence
 ])  # fmt: skip
 def test_what_is_not_felt_there_is_not_drawn(drawing, current_ua, x_mm, number):
     drawing.watch(at(1, x_mm, 9.0))
@@ -116,7 +116,7 @@ def test_spikes_are_those_of_each_sequence(finger, pulse):
     found = delivered_spikes(finger, numbers, width, current, {3: 20_000, 4: 20_000, 5: 20_000})
     assert list(found) == [3, 4]
     assert found[4].sum() == 0
-    # A slot later is within the refractory time: one spike each.
+    # The second slot falls into the refractory time, so a fiber fires at most once.
     assert set(found[3]) == {0, 1}
     alone = DeliveredSlots(pulse[None], np.array([200]), np.array([100]), 20_000)
     fired = SpikeModel(finger).fire(alone).counts
@@ -131,7 +131,7 @@ def test_a_class_is_drawn_in_its_color_where_its_receptors_were(finger, afferent
     drawn = SpikeMap(
         finger, lambda places, pose: places + np.array([12 + pose.x_mm, 12]), (240, 480), 0.1
     )
-    # A place is as dark, however often the same spikes were there.
+    # Several passes with the same spikes must look like a single pass.
     for x_mm in (0.0, 22.0, 22.0, 22.0):
         drawn.add(Pose(x_mm, 0.0), counts)
     image, again = np.split(drawn.image(), 2, axis=1)
@@ -139,7 +139,7 @@ def test_a_class_is_drawn_in_its_color_where_its_receptors_were(finger, afferent
     row, column = np.unravel_index(image.sum(axis=2).argmin(), image.shape[:2])
     place = np.array([column, row]) * 0.1 - 12
     assert np.abs(place - finger.receptor_mm[distance.argmin()]).max() < 0.15
-    # Orange has more red than blue; blue the other way round.
+    # RA is orange, with more red than blue. SAI is blue, with more blue than red.
     assert image[row, column, own] > image[row, column, other]
     assert image.max() == 255
 

@@ -1,4 +1,4 @@
-"""Keys of a terminal end a run, whatever other keys do."""
+"""Tests of keys that fail, and of signals to a command that blocks."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ PATIENCE_S = 20
 
 @pytest.fixture
 def terminal(monkeypatch):
-    """The far end of a terminal in place of standard input."""
+    """Yield the keyboard end of a terminal that replaces standard input."""
     far, near = os.openpty()
     with os.fdopen(near) as stdin:
         monkeypatch.setattr(sys, "stdin", stdin)
@@ -25,7 +25,7 @@ def terminal(monkeypatch):
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_key_that_fails_counts_as_a_lost_terminal(terminal):
-    """No key after it is heard, neither q."""
+    """No key after the failing one is read, not even q."""
     heard, lost = [], threading.Event()
 
     def on_key(key):

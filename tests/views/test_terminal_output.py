@@ -1,4 +1,4 @@
-"""No control character reaches a terminal, whatever its origin."""
+"""Tests that no control character from names or messages reaches a terminal."""
 
 import io
 import sys
@@ -15,7 +15,7 @@ EVIL = "a\x1b]0;owned\x07\x1b[2J\x9b31m\u202eb\x7f\r\x08"
 
 
 class Screen(io.StringIO):
-    """Stream that says it is a terminal, and keeps its text."""
+    """Text stream in memory that claims to be a terminal."""
 
     def isatty(self):
         return True
@@ -33,7 +33,7 @@ def test_all_that_a_terminal_obeys_has_a_visible_stand_in():
 
 
 def test_words_stay_as_they_are():
-    # With joiners, marks and signs beyond the basic plane, which writing needs.
+    # Some scripts need joiners, combining marks or characters beyond the basic plane.
     for text in ("naïve Ω", "می‌خواهم", "क्‍ष", "ਸ਼", "👩‍🔬", "⠓⠑⠇⠇⠕", "a\tb\nc", "−µ×"):
         assert printable(text) == text
 
@@ -45,7 +45,7 @@ def test_plain_output():
     assert screen.getvalue() == printable(EVIL) + "\n"
     assert not output.isatty()
     assert output.encoding == screen.encoding
-    # By these, characters would pass as they are.
+    # These attributes would let control characters bypass the filter.
     assert not hasattr(output, "buffer")
     assert not hasattr(output, "writelines")
 

@@ -1,4 +1,4 @@
-"""A vibrator plays what sequences ask of PC, and is silent soon after the last one."""
+"""Tests that a vibrator plays the vibration of each sequence, then soon falls silent."""
 
 import sys
 import types
@@ -17,7 +17,7 @@ STEEPEST = 2 * np.pi * 250 / RATE_HZ + 1 / (FADE_S * RATE_HZ)
 
 
 def result(vibration, time_s=0.0, period_s=PERIOD_S, number=1):
-    """Return a step whose sequence asks for a vibration of one of two sites."""
+    """Return a step whose sequence vibrates the second of two sites; None for no vibration."""
     none = np.zeros(0, np.uint16)
     shaken = None if vibration is None else np.array([0, vibration], np.float32)
     sequence = ScanSequence(
@@ -40,7 +40,7 @@ def level(samples, start_s, end_s):
 
 @pytest.fixture
 def played(tmp_path):
-    """Return a player of steps that returns the samples of its file."""
+    """Return a function that plays steps into a file and returns the samples."""
 
     def play(*results):
         vibrator = st.Vibrator(tmp_path / "pc.wav")
@@ -51,7 +51,7 @@ def played(tmp_path):
         vibrator.close()
         vibrator.close()
         samples = read(tmp_path / "pc.wav")
-        # A program that is killed leaves all but the fade.
+        # If the program is killed, its file lacks only the final fade to silence.
         assert len(samples) - len(while_open) == FADE_S * RATE_HZ
         assert np.abs(np.diff(samples, prepend=0, append=0)).max() < STEEPEST + 1e-3
         return samples
@@ -82,13 +82,13 @@ def test_it_is_silent_within_100_ms_of_the_last_vibration(played, last, ends_s):
 
 
 class FakeSound(types.ModuleType):
-    """A sound card that is asked for samples by the test."""
+    """Fake of the library sounddevice; the test requests samples by `play`."""
 
     def __init__(self):
         super().__init__("sounddevice")
         self.active = True
 
-    # Named as sounddevice names it.
+    # The name in sounddevice.
     def OutputStream(self, rate_hz, callback, **options):  # noqa: N802
         assert (rate_hz, options["channels"]) == (RATE_HZ, 1)
         self._fill = callback

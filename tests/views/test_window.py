@@ -1,4 +1,4 @@
-"""Pages of a run: what is refused, who may do what, and that a page can hold nothing up."""
+"""Tests of window pages: refused requests, rights to steer, and pages that hang."""
 
 import http.client
 import io
@@ -28,7 +28,7 @@ from ..support.runs import until
 
 
 def connect(run, *, origin=None, token=None):
-    """Return the socket of a page; by default one that is as it should be."""
+    """Return the socket of a page, by default with the right origin and token."""
     place = urlsplit(run.address)
     secret = place.path.split("/")[1] if token is None else token
     return open_socket(
@@ -49,13 +49,13 @@ def ask(run, method, path, **headers):
 
 
 def receive(socket, kind):
-    """Return the next message of a kind, answering those that come before."""
+    """Return the next message of a kind; confirm each update before it with "seen"."""
     while True:
         message = json.loads(socket.recv(timeout=20))
         if message["type"] == kind:
             return message
         if message["type"] == "update":
-            # At the end the server may have closed the line behind what is still to be read.
+            # At the end of a run the server can be closed while updates are still unread.
             with suppress(ConnectionClosed):
                 socket.send("seen")
 
@@ -132,7 +132,7 @@ def test_a_page_that_has_lost_its_connection_can_stop(running):
     with running() as run:
         origin = f"http://{urlsplit(run.address).netloc}"
         assert ask(run, "POST", "/SECRET/stop", Origin=origin).status == 204
-        # The answer comes when boards are at zero: nothing is sent after it.
+        # The server answers after the board is at zero, so the board gets no more sequences.
         count = len(run.board.driver.sequences)
         assert run.ended() == "the window"
         assert len(run.board.driver.sequences) == count
@@ -142,7 +142,7 @@ def test_current_is_zero_when_the_page_that_steers_hangs(running):
     with running(lost_s=LOST_S) as run, connect(run) as socket:
         receive(socket, "hello")
         socket.send("steer")
-        # It is open, and answers nothing any more.
+        # The page stays connected but no longer confirms updates.
         last = until(
             lambda: next((each for each in [*run.results.values()] if not each.step.level), None)
         )
@@ -169,7 +169,7 @@ def test_what_would_reveal_the_answer_is_not_sent(running):
         while "no answer" not in told:
             update = receive(socket, "update")
             assert {*update} == {"type", "state"}
-            # What counts pulses would tell, too.
+            # Counts of sequences and charge would reveal the answer as well.
             assert not {"dose_s", "dose_mc", "sequences", "work_share"} & {*update["state"]}
             told += [each["text"] for each in update["state"]["events"]]
             socket.send("seen")
@@ -177,7 +177,7 @@ def test_what_would_reveal_the_answer_is_not_sent(running):
 
 
 def update_where(socket, holds):
-    """Return the first update for which something holds."""
+    """Return the first update for which the predicate ``holds`` is true."""
     while True:
         socket.send("seen")
         if holds(update := receive(socket, "update")):

@@ -1,4 +1,4 @@
-"""The page in a real browser: what it draws, how it is used, and by whom."""
+"""Tests of the window page in a browser: its drawing, steering, layout and privacy."""
 
 import json
 import stat
@@ -21,7 +21,7 @@ from .conftest import colors, drawn, strongest
 
 @pytest.fixture
 def on_page(browser, running):
-    """Return a context of a run and its page, once that has drawn something."""
+    """Return a context manager that yields a run and its page after the first drawing."""
 
     @contextmanager
     def show(width=800, height=700, media=None, **options):
@@ -38,7 +38,7 @@ def on_page(browser, running):
 
 def test_pixels_are_the_delivered_sequence(on_page, profile):
     def driven():
-        """Return what is drawn, and its sequence; none after a machine has stood still."""
+        """Return drawing and sequence; None if a delay of the computer emptied the sequence."""
         found = drawn(page, profile)
         sequence = run.results[found["number"]].sequence
         return (found, sequence) if sequence.slots else None
@@ -72,16 +72,16 @@ def test_a_second_page_takes_over_when_the_first_is_closed_and_can_always_stop(o
         page.click("#pause")
         until(lambda: not run.state().paused)
         page.wait_for_selector("#steer[aria-pressed=true]")
-        # Space pauses where a page steers, and stops where another one does.
+        # Space pauses the run on the page that steers, and stops the run on any other page.
         with opened(browser, run.address) as other:
-            # At full level the page that steers could not turn it up either.
+            # Wait for `less`: at full level `more` is also disabled on the page that steers.
             other.wait_for_selector("#less:disabled")
             other.keyboard.press("Space")
             assert run.ended() == "the window"
 
 
 def test_the_browser_is_led_to_the_page_by_a_private_file(browser, running, monkeypatch):
-    """No argument of the browser has the secret: any user of the machine could read it."""
+    """Any user can read the arguments of the browser, so they must not contain the secret."""
     given, read = threading.Event(), threading.Event()
 
     def told(address):
@@ -116,7 +116,7 @@ def test_the_pointer_in_a_browser_is_the_hand(browser, running, profile):
         box = page.locator("#page").bounding_box()
         middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         page.mouse.move(*middle)
-        mm_per_px = 100 / box["height"]  # the whole height of the sheet is shown
+        mm_per_px = 100 / box["height"]  # the page shows all 100 mm of the sheet
         page.mouse.move(middle[0] + 20 / mm_per_px, middle[1] - 10 / mm_per_px, steps=30)
         until(lambda: any(is_near(each.input.pose) for each in [*run.results.values()]))
         assert json.loads(run.window.hello)["moves"]
@@ -133,7 +133,7 @@ def test_a_keyboard_is_enough(on_page):
             page.keyboard.press(key)
             until(holds)
             page.wait_for_selector("#steer[aria-pressed=true]")
-            # The page's next key acts on what it shows.
+            # Wait for the new state: the effect of the next key depends on the state shown.
             page.wait_for_selector(f"#pause[aria-pressed={str(run.state().paused).lower()}]")
         page.focus("#slider")
         for key, level in (("End", 1), ("Home", 0), ("ArrowRight", 0.01)):
@@ -168,11 +168,11 @@ def test_it_fits_a_phone_and_respects_reduced_motion(on_page):
         assert run.ended() == "the window"
 
 
-@pytest.mark.skipif(not AXE.is_file(), reason="npm install --prefix build/axe axe-core")
+@pytest.mark.skipif(not AXE.is_file(), reason="needs: npm install --prefix build/axe axe-core")
 def test_axe_finds_nothing(on_page):
     with on_page() as (_, page):
         page.click("#table-more summary")
-        # The page forbids scripts of others; the browser may bring one along.
+        # The page's security policy blocks loading this script, but not injecting it.
         page.evaluate(AXE.read_text("utf-8"))
         for scheme in ("light", "dark"):
             page.emulate_media(color_scheme=scheme)
