@@ -8,7 +8,7 @@ import smarttouch as st
 
 
 class Strongest(st.Lisener):  # wrong
-    """Listener of a misspelled base class."""
+    """Listener with a misspelled base class."""
 
 
 def misspell(path: Path) -> None:

@@ -25,7 +25,7 @@ def names_of(module):
 
 
 def described(name, value):
-    """Yield a name and its parameters, each with its deprecation message (default: "")."""
+    """Yield a name and its parameters, each with its deprecation message or an empty text."""
     inner = getattr(value, "fget", None) or getattr(value, "__func__", value)
     yield name, getattr(inner, "__deprecated__", "")
     made = value.__init__ if inspect.isclass(value) else getattr(value, "__func__", value)
@@ -44,7 +44,7 @@ def members_of(owner):
 
 
 def public_names():
-    """Return the deprecation message of each public name, as ``module.Name.member.parameter``.
+    """Return a dict of deprecation messages by public name, ``module.Name.member.parameter``.
 
     The members of a class that two modules export are listed only under the first module.
     """
@@ -81,7 +81,7 @@ def read_released():
     names = [
         f"{owner}{each}" for owner, rest in read["names"].items() for each in ["", *rest.split()]
     ]
-    promised = re.fullmatch(r"[1-9]\d*[.\d]+", read["version"]) is not None  # no 1.0rc1
+    promised = re.fullmatch(r"[1-9]\d*[.\d]+", read["version"]) is not None  # not 1.0rc1
     return {"promised": promised, "names": names, "deprecated": read["deprecated"]}
 
 

@@ -1,4 +1,4 @@
-"""Tests that Python blocks in README and docs run, and that commands exist or also run."""
+"""Tests of README and docs: Python blocks run, commands exist, and the tutorial runs."""
 
 import ast
 import os
@@ -80,7 +80,7 @@ def test_the_program_takes_each_command(page):
 
 
 def run(words, folder):
-    """Return the output of a command; do not run one that sets up the reader's environment."""
+    """Run a command and return its output. Skip commands that set up the reader's environment."""
     name, *rest = Path(words[0]).name, *words[1:]
     if name == "smarttouch":
         rest = ["frequency?repetitions=1" if word == "frequency" else word for word in rest]
@@ -132,7 +132,7 @@ def test_links_between_files_hold(page):
 
 
 def test_pages_are_few_and_short():
-    """Excluded are decisions, the changelog, pages made from code, and pages on the firmware."""
+    """The limits do not apply to decisions, the changelog, generated pages and firmware pages."""
     apart = {"changes", "gallery", "index", "python", "profile-keys", "link", "firmware"}
     words = {
         page: len(page.read_text("utf-8").split())

@@ -42,7 +42,7 @@ def test_every_function_has_an_example_that_runs(name):
 
 
 def test_importing_it_imports_nothing_heavy():
-    """The command line, before a command is chosen, and the pytest plug-in obey this as well."""
+    """Importing the command line and the pytest plug-in does not load heavy libraries either."""
     code = (
         "import sys, smarttouch; print(*sys.modules); "
         "import smarttouch.cli, smarttouch.testing.pytest_plugin; print(*sys.modules)"
@@ -110,7 +110,7 @@ def test_all_are_on_the_page_in_the_part_of_their_module():
 
 
 def imported(code):
-    """Yield module and name of each import of a program; the name is None if there is none."""
+    """Yield module and name of each import of a program; the name is None for ``import m``."""
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import):
             for each in node.names:

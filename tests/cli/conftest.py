@@ -1,4 +1,4 @@
-"""The installed program, run as a user runs it."""
+"""Fixtures that run the installed program as a user does."""
 
 import contextlib
 import io
@@ -26,13 +26,13 @@ from ..support.checks import assert_says
 from ..support.processes import PROGRAM, Forked, emulator
 
 PRESSED = ("--force", "fixed:1")
-"""Where nothing measures force on a board that a finger may be on."""
+"""Options for a board that drives a finger but does not measure its force."""
 
 
 def says(kind=SmartTouchError, *names, **attributes):
-    """Return a check that an error is of just this type, with these names and attributes.
+    """Return a check that an error has exactly this type and these attributes.
 
-    Names, and numbers with their units, are looked for in what it says.
+    The message of the error must contain all ``names``, which can be numbers with units.
     """
 
     def check(error):
@@ -44,26 +44,26 @@ def says(kind=SmartTouchError, *names, **attributes):
 
 
 class Done(SimpleNamespace):
-    """How a run in this process ended: `returncode`, `stdout`, `stderr`, its `error`."""
+    """Result of running the program in this process: exit code, output and error."""
 
     def fine(self):
-        """Check that it ended well; return it."""
+        """Check that the exit code is 0; return this result."""
         assert self.returncode == 0, self.stderr
         return self
 
     def flawless(self):
-        """Check that it ended well and warned of nothing; return it."""
+        """Check that the exit code is 0 and nothing was written to stderr; return this result."""
         assert self.fine().stderr == ""
         return self
 
     @property
     def figures(self):
-        """What it wrote to the file that ``--json`` names."""
+        """Content of the file that option ``--json`` names."""
         return json.loads(self.json_path.read_text())
 
 
 def refused(done):
-    """Check that a run in this process ended with one sentence; return the error behind it."""
+    """Check that the program exited with 2 and one line on stderr; return the error."""
     assert done.returncode == 2, done.stdout
     assert done.stderr.startswith("smarttouch: ")
     assert done.stderr.count("\n") == 1
@@ -71,10 +71,10 @@ def refused(done):
 
 
 def panels(path, count):
-    """Return the panels of a picture of what was felt as ink, from the top."""
+    """Return the panels of a ``--felt`` picture from top to bottom, as darkness (black is 255)."""
     with Image.open(path) as sheet:
         ink = 255.0 - np.asarray(sheet.convert("L"), float)
-    # 28 pixels of words above each, and 24 of margin below and above.
+    # Each panel has a title of 28 pixels above it. The picture has margins of 24 pixels.
     step = (len(ink) - 24) // count
     tops = range(52, len(ink) - 24, step)
     return [ink[top : top + step - 52, 24:-24] for top in tops]
@@ -82,13 +82,13 @@ def panels(path, count):
 
 @pytest.fixture(autouse=True)
 def own_runs(tmp_path, monkeypatch):
-    """Let `smarttouch stop` find the runs of this test, and of no other."""
+    """Let `smarttouch stop` find only the runs of this test."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
 @pytest.fixture
 def program(tmp_path):
-    """Return a runner of the program in an empty folder; a fork of it, if it is not to be real."""
+    """Return a function that runs the program in an empty folder, by `Forked` unless ``real``."""
 
     def run(*arguments, given="", real=False, timeout=100):
         with (subprocess.Popen if real else Forked)(
@@ -110,9 +110,9 @@ def program(tmp_path):
 
 @pytest.fixture
 def program_here(tmp_path, monkeypatch):
-    """Return a runner of the program in this process, which is much sooner: see `Done`.
+    """Return a function that runs the program in this process, which is faster; see `Done`.
 
-    Its first argument may be several, as a shell splits them.
+    A first argument with several words is split as by a shell.
     """
     tell = cli._outcome
 
@@ -142,13 +142,13 @@ def program_here(tmp_path, monkeypatch):
 
 @pytest.fixture
 def figures_of(program_here):
-    """Return a runner of a command that gives its figures."""
+    """Return a function that runs a command and returns the content of its ``--json`` file."""
     return lambda words: program_here(f"{words} --json f.json").fine().figures
 
 
 @pytest.fixture
 def start_program(tmp_path):
-    """Return a starter of the program: of a fork, if it is not to be a real start."""
+    """Return a function that starts the program, by `Forked` unless ``real``."""
     streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
     with starter() as start:
         yield lambda *arguments, real=False: start(
@@ -159,7 +159,7 @@ def start_program(tmp_path):
 
 @pytest.fixture
 def start_at_a_terminal(tmp_path):
-    """Return a starter of a run with a keyboard: its process, once it takes keys, and they."""
+    """Return a function that starts the program at a terminal and returns process and keyboard."""
     running = []
 
     def start(*arguments):
@@ -184,7 +184,7 @@ def start_at_a_terminal(tmp_path):
 
 @pytest.fixture
 def start_emulator(tmp_path):
-    """Return a starter of board emulators: their process, port and books."""
+    """Return a function that starts an emulator and returns its process, port and log folder."""
     with starter() as start:
 
         def start_one(electrodes=64, protocol="link", *more):

@@ -1,4 +1,4 @@
-"""Bad input gets one clear sentence and exit 2, and never a traceback."""
+"""Tests that bad input ends the program with exit code 2 and a message of one line."""
 
 import math
 import struct

@@ -1,4 +1,4 @@
-"""``braille``: texts to cells and back, on the screen and in files."""
+"""Tests of ``smarttouch braille``: text to cells and back, printed and in files."""
 
 import os
 import re
@@ -17,7 +17,7 @@ from .conftest import says
 
 @pytest.fixture
 def braille(program_here):
-    """Return a runner of ``braille`` that gives what it printed."""
+    """Return a function that runs ``braille`` and returns its output."""
 
     def run(*arguments):
         done = program_here("braille", *arguments).fine()
@@ -99,5 +99,5 @@ def test_bad_input(program_here, tmp_path, arguments, wrong):
     done = program_here("braille", *arguments.split())
     assert done.returncode == 2
     wrong(done.error)
-    # Before it, where liblouis is not here, a line that tells so.
+    # If liblouis is not installed, another line says so before the error.
     assert done.stderr.count("\n") == 1 + (louis.version() is None)

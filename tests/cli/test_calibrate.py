@@ -1,4 +1,4 @@
-"""All calibrations, walked through: what they show, write, and refuse to write."""
+"""Tests of all calibrations: their output, the profiles that they write, and their errors."""
 
 import os
 import sys
@@ -25,9 +25,9 @@ from .conftest import PRESSED, says
 
 @pytest.fixture
 def run(monkeypatch, tmp_path):
-    """Return a runner of the command in an empty folder; what is typed comes as text.
+    """Return a function that runs ``calibrate`` in an empty folder; ``typed`` is the input.
 
-    Its first argument may be several.
+    A first argument with several words is split at spaces.
     """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
@@ -82,7 +82,7 @@ def test_one_profile_for_all(run, tmp_path, profile, monkeypatch):
     assert set(mine.calibrated) == {"optics", "registration"}
     assert mine.optics.homography is not None
     assert {each.name for each in tmp_path.glob("mine*")} == {"mine.flat-field.npz", "mine.toml"}
-    # Never measured again without being told to, and then without its old flat field.
+    # Measuring again requires --overwrite, and must not apply the old flat field.
     before = (tmp_path / "mine.toml").read_bytes()
     wrong()(run(optics).exception)
     assert (tmp_path / "mine.toml").read_bytes() == before
@@ -99,7 +99,7 @@ def test_a_target_alone(run, tmp_path):
 
 @pytest.fixture
 def load_cell(monkeypatch):
-    """An emulated cell on a serial line; who is asked for a weight lays it on."""
+    """Yield the URL of an emulated load cell, which carries the weight entered at each prompt."""
     cell, line = EmulatedLoadCell(0.0, framed=True, rate_hz=400), PtyLine()
     server, over = Server(cell, line), threading.Event()
 
@@ -111,7 +111,7 @@ def load_cell(monkeypatch):
 
     def lay_on(_question, **_options):
         cell.force_n = float(grams[0] or 0) * 9.80665e-3
-        # What was sampled before is on its way.
+        # Wait until the samples of the previous weight have been transmitted.
         time.sleep(0.1)
         return grams.pop(0)
 
@@ -126,14 +126,14 @@ def load_cell(monkeypatch):
 
 def test_force_of_an_emulated_load_cell(run, tmp_path, load_cell):
     for seconds in (0.15, 3.0):
-        # A computer that is too busy is told to read longer.
+        # On a busy computer the first reading can be too short: read longer.
         result = run(f"force --cell {load_cell} --seconds {seconds} --output mine.toml")
         if not isinstance(result.exception, CalibrationError):
             break
     shown = done(result)
     assert "line through 6 weighings from 0 to 100 g" in shown
     zero_n, slope_n = load_profile(tmp_path / "mine.toml").force.curve
-    # The emulator's own: 50,000 counts a newton above 80,000.
+    # The emulated cell counts 80,000 at zero force, and 50,000 more per newton.
     assert slope_n == pytest.approx(1 / 50_000, rel=0.01)
     assert zero_n == pytest.approx(-1.6, rel=0.01)
 
@@ -157,14 +157,14 @@ def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
 @pytest.mark.realtime
 def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
-    # A busy computer keeps the watchdog waiting in a longer measurement.
+    # Measure less often: on a busy computer a long measurement can exceed the host timeout.
     monkeypatch.setattr(sys.modules["smarttouch.cli.calibrate"], "_REPEATS", 2)
     events = ("event=0 open 5", "event=0 short 9")
     _, port, _ = start_emulator(32, "etactilekit", *events)
 
     def measured():
         result = run(f"contact --board etactilekit:{port} --output mine.toml")
-        # A computer that is too busy is told to measure again.
+        # On a busy computer the measurement can fail: measure again.
         return None if isinstance(result.exception, BoardError) else result
 
     shown = done(until(measured))

@@ -1,4 +1,4 @@
-"""Arrays to make: KiCad boards and drawings, read by parsers of their own."""
+"""Tests of exported KiCad boards and SVG drawings, read by the parsers of this module."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -16,7 +16,7 @@ from ..support.scans import sequence
 
 
 def parsed(text):
-    """Return an S-expression as nested lists of strings."""
+    """Parse an S-expression; return nested lists of strings."""
     stack = [[]]
     for opens, closes, quoted, word in re.findall(
         r'(\()|(\))|"((?:[^"\\]|\\.)*)"|([^\s()"]+)', text
@@ -41,7 +41,7 @@ def numbers(expression, name):
 
 
 def copper(pad):
-    """Return the center of a pad, and its shape and size as in profiles."""
+    """Return the center of a pad, and its shape and size in the terms of profiles, mm."""
     place, (width, height) = numbers(pad, "at"), numbers(pad, "size")
     if pad[3] == "circle":
         assert width == height
@@ -50,14 +50,14 @@ def copper(pad):
         return (*place, "rectangle", width, height)
     (ring,) = parts(parts(pad, "primitives")[0], "gr_circle")
     radius, line = np.hypot(*numbers(ring, "center")), numbers(ring, "width")[0]
-    # Nothing but the ring is copper, the pad's own anchor included.
+    # Only the ring is copper: it is not filled, and the anchor of the pad lies on its line.
     assert parts(ring, "fill") == [["fill", "no"]]
     assert (width, height) == (line, line)
     return (*(place + numbers(ring, "center")), "annulus", 2 * radius + line, 2 * radius - line)
 
 
 def drawn(shape):
-    """Return the center, shape and size of a shape of a drawing, mm."""
+    """Return center, shape and size of an SVG element of a drawing, mm."""
     line = float(shape.get("stroke-width"))
     if shape.tag.endswith("path"):
         x, y, length = map(float, re.fullmatch(r"M(\S+) (\S+)v(\S+)", shape.get("d")).groups())
@@ -85,7 +85,7 @@ def assert_same(found, expected):
 
 @pytest.fixture
 def export(program_here, tmp_path):
-    """Return a runner of ``profiles show`` that gives the profile, the board and the drawing."""
+    """Return a function that exports a profile and returns profile, board and drawing."""
 
     def run(name, *options):
         done = program_here(f"profiles show {name} --kicad=made --svg=made.svg", *options).fine()
@@ -117,7 +117,7 @@ def test_copper_is_that_of_the_profile_to_a_micrometer(export, name):
 
 
 def test_a_driver_reaches_each_electrode_through_the_board(export):
-    """From the driver's output by the contact and its net to the electrode's place."""
+    """The contact and the net of each driver output lead to the pad of the right electrode."""
     profile, board, _ = export("etactilekit-32")
     electrodes, connector = parts(board, "footprint")
     nets = {code: name for _, code, name in parts(board, "net")}
@@ -146,7 +146,7 @@ def test_wiring_of_the_profile_is_followed_and_free_outputs_stay_bare(export, tm
     nets = {int(pad[1]) - 1: parts(pad, "net")[0][2] for pad in pads if parts(pad, "net")}
     assert len(pads) == 58
     assert nets == {put: str(site) for site, put in enumerate(wiring)}
-    # Two connectors of 29, with a gap.
+    # Two connectors of 29 contacts each, with a gap between them.
     x_mm = np.array([numbers(pad, "at")[0] for pad in pads])
     np.testing.assert_allclose(np.diff(x_mm), [0.5] * 28 + [2.5] + [0.5] * 28)
 

@@ -1,4 +1,4 @@
-"""A run is steered by keys, and ended by them, by another process, and by losing the terminal."""
+"""Tests of keys that steer or end a run, and of a terminal that is lost or stopped."""
 
 import contextlib
 import json
@@ -22,12 +22,12 @@ RUN = ("live", "--seconds", "60", "--json", "run.json", "--record", "run.mcap")
 
 
 def wait_for(process, words):
-    """Read what a run prints, up to the line that ends in these words."""
+    """Read the output of a run up to a line that ends in these words."""
     assert any(line.rstrip().endswith(words) for line in iter(process.stdout.readline, ""))
 
 
 def wait_for_the_run(process):
-    """Its mode is reported once it has begun."""
+    """Wait until a run prints its mode, which it does when it begins."""
     wait_for(process, ": mode RA")
 
 
@@ -62,7 +62,7 @@ def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
 def test_the_last_comfortable_level_is_reached_by_a_key(
     start_at_a_terminal, start_emulator, tmp_path
 ):
-    """On a finger a run begins at zero and offers the level; the ramp leads to it."""
+    """On a finger a run begins at zero; key L ramps intensity up to the last comfortable level."""
     _, port, _ = start_emulator()
     log = levels_file(profile := load_profile("electric-mouse"))
     log.parent.mkdir(parents=True)
@@ -85,7 +85,7 @@ def test_the_last_comfortable_level_is_reached_by_a_key(
     steps = [recorded.step for recorded in RecordedRun(tmp_path / "run.mcap").steps()]
     flowing = [step.sequence.intensity for step in steps]
     assert flowing[0] == 0
-    # On a busy machine late sequences let it begin at zero again.
+    # On a busy computer, late sequences restart the ramp at zero.
     assert 0.1 < max(flowing) <= 0.45
     assert np.diff(flowing).max() < 0.1
     for profile_name, status in (("electric-mouse", 0), ("kajimoto-61", 2)):
@@ -107,7 +107,7 @@ def test_a_run_ends_in_order(start_at_a_terminal, tmp_path, end):
 
 
 def test_a_stopped_terminal_delays_the_screen_and_neither_the_run_nor_its_keys(tmp_path):
-    """Ctrl-S stops what is drawn; keys and frames go on; Ctrl-Q shows how the run has ended."""
+    """Ctrl-S freezes the screen, but keys and frames continue; Ctrl-Q shows the end of the run."""
     ours, terminal = os.openpty()
     with Forked(
         [PROGRAM, *RUN], cwd=tmp_path, stdin=terminal, stdout=terminal, stderr=subprocess.PIPE,
@@ -121,7 +121,7 @@ def test_a_stopped_terminal_delays_the_screen_and_neither_the_run_nor_its_keys(t
         while select.select([ours], [], [], 0.5)[0]:
             os.read(ours, 1 << 16)
         os.write(ours, b"m")
-        assert not select.select([ours], [], [], 1.0)[0], "something was drawn"
+        assert not select.select([ours], [], [], 1.0)[0], "the screen changed after Ctrl-S"
         os.write(ours, b"q")
         until(lambda: (tmp_path / "run.json").exists())
         os.write(ours, b"\x11")
@@ -133,6 +133,6 @@ def test_a_stopped_terminal_delays_the_screen_and_neither_the_run_nor_its_keys(t
         figures = ended(process, tmp_path)
     assert b"key q" in shown
     assert figures["ended"] == "key q"
-    # In the second in which nothing was drawn, 50 times on a computer that is not busy.
+    # Mode SAI lasted for the second without drawing: 50 steps, or fewer on a busy computer.
     modes = [each.step.mode for each in RecordedRun(tmp_path / "run.mcap").steps()]
     assert modes.count(Mode.SAI) > 10

@@ -1,4 +1,4 @@
-"""``design`` shows what is shipped, and what a user describes."""
+"""Tests of ``smarttouch design`` and ``smarttouch profiles``, with shipped and own profiles."""
 
 import json
 
@@ -21,7 +21,7 @@ KEYS = {
 
 @pytest.fixture
 def designed(program_here, tmp_path):
-    """Return a runner of ``design`` that gives what it printed and its kernels."""
+    """Return a function that runs ``design`` and returns its output and its table of kernels."""
 
     def run(*arguments):
         done = program_here("design --json=k.json", *arguments).fine()

@@ -1,4 +1,4 @@
-"""Boards from the command line: found, looked at, measured, tried, stopped, and run."""
+"""Tests of boards from the command line: ``devices``, ``live``, ``stop``, ``calibrate scale``."""
 
 import os
 import re
@@ -24,7 +24,7 @@ KITS = {
 
 @pytest.fixture
 def kit(request, start_emulator):
-    """The URL of an emulated board, and its books."""
+    """Return the URL of an emulated board, and the folder of its delivery log."""
     electrodes, protocol, *more = {"link": (64, "link"), **KITS}[request.param]
     _, port, books = start_emulator(electrodes, protocol, *more)
     return f"{protocol}:{port}", books
@@ -32,7 +32,7 @@ def kit(request, start_emulator):
 
 @pytest.fixture(autouse=True)
 def _no_boot(monkeypatch):
-    """Emulators need no time to boot: drivers in this process do not wait for it."""
+    """Let drivers in this process skip the wait for a boot, which emulators do not need."""
     monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
 
 
@@ -41,7 +41,7 @@ def on(*names):
 
 
 def state_of(books):
-    """Return what a board's books say once it is at zero."""
+    """Wait until an emulated board is at zero; return the state in its delivery log."""
     until(lambda: fresh_state(books)["state"] == "shorted")
     return read_state(books)
 
@@ -51,7 +51,7 @@ def state_of(books):
 def test_live_end_to_end_ends_in_zero(program_here, kit):
     url, books = kit
     done = program_here(f"live --board {url} {FULL} --seconds 1.7 --json run.json").fine()
-    # That one goes on by itself if its line breaks, and who runs it is warned.
+    # The user is warned that an etactilekit board does not stop if its connection is lost.
     assert done.stderr.count("\n") == url.startswith("etactilekit")
     figures = done.figures
     assert "1.7 s" in figures["ended"]

@@ -1,4 +1,4 @@
-"""Experiments as a user runs them: at a terminal, simulated, stopped, killed and gone on with."""
+"""Tests of ``smarttouch experiment``: at a terminal, simulated, interrupted and continued."""
 
 import csv
 import json
@@ -47,7 +47,7 @@ def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
     before = path.read_bytes()
     assert first.figures["emulator_violations"] == 0
     again = program_here(one)
-    # Where answers come from is not said of a session in which none is given.
+    # A complete session gets no answers, so the note on simulated answers must not come first.
     assert re.findall(r"\d+", again.stdout.splitlines()[0]) == ["10", "10", "10"]
     assert path.read_bytes() == before
     path.write_bytes(before[:-20])
@@ -56,7 +56,7 @@ def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
     assert "10 of 10" in goes_on
     assert "ann-2-frequency-RA.csv" in goes_on
     assert [row["participant"] for row in read_rows(path)] == ["ann-simulated-model"] * 10
-    # Recordings of a session are numbered.
+    # The recording of a continued session gets a number.
     assert "run-2.mcap" in rest.stdout
     words = [words for _, words in RecordedRun(tmp_path / "run-2.mcap").events]
     trials = [each for each in words if each.startswith(("trial", "response"))]
@@ -69,10 +69,10 @@ def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
 
 
 def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_path, monkeypatch):
-    # The screen is drawn, though what it is drawn on is kept.
+    # Let the program draw its screen although standard output is a pipe.
     monkeypatch.setenv("FORCE_COLOR", "1")
     process, keys = start_at_a_terminal(*f"{SMALL}&gap_s=0.1".split(), "--json", "run.json")
-    # A key of other runs: the class is the experiment's.
+    # Key m changes the class in other runs; an experiment must ignore the key.
     os.write(keys, b"m")
     path = tmp_path / "frequency-RA.csv"
     drawn = []
@@ -87,7 +87,7 @@ def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_p
     out = "".join(drawn)
     assert (process.wait(30), process.stderr.read()) == (0, "")
     assert "(Ctrl-C)" in out
-    # Whoever answers sees the question, and nothing that would tell the answer.
+    # The screen must show the question, but nothing that reveals the answer.
     assert "1 or 2" in out
     for on_stop in ("RA electrodes", "slots,", "source image", "comparison", "second after"):
         assert on_stop not in out
@@ -141,7 +141,7 @@ def test_what_cannot_be_asked_for(program_here, arguments, check):
 
 
 def session(path, thresholds, seed=0):
-    """Write the answers of a subject with these thresholds of standards; none: the first."""
+    """Write simulated answers to each standard; without a threshold all are the first interval."""
     with path.open("w", newline="", encoding="utf-8-sig") as file:
         writer = csv.writer(file)
         writer.writerow(["standard", "comparison", "comparison_interval", "unit", "success"])
@@ -180,7 +180,7 @@ def test_two_modes(program_here, tmp_path):
 
 
 def test_others_answers(figures_of, tmp_path):
-    """Detection of somebody else's: no standard, columns with names of their own."""
+    """Data of another program can be fitted, without standards and with other column names."""
     random = np.random.default_rng(2)
     subject = Subject(0.8, 0.3, 0.5, 0.01, guess=0.1)
     felt = [

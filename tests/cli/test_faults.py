@@ -1,4 +1,4 @@
-"""However a run ends, the electrodes are off and the host says one clear sentence."""
+"""Tests that each way to end a run sets the board to zero and prints at most one clear line."""
 
 import json
 import re
@@ -20,7 +20,7 @@ PATIENCE_S = 60
 
 @pytest.fixture
 def running(start_program, start_emulator):
-    """A run that delivers pulses to an emulator of its own."""
+    """Return a run that delivers pulses, its emulator, and the folder of the delivery log."""
     emulator, port, books = start_emulator(64, "link", "linger=0.2")
     host = start_program(
         "live", "--board", f"link:{port}", *PRESSED, "--intensity", "1", "--json", "run.json"
@@ -52,7 +52,7 @@ def test_signals_end_in_order(running, number, name):
 @pytest.mark.realtime
 def test_the_board_dies_and_its_port_with_it(start_program, start_emulator, tmp_path):
     emulator, port, books = start_emulator(64, "link", "linger=0.2")
-    # A name of its own: that of the system goes to whoever opens the next port.
+    # Use a link to the port, because the system gives the name of a closed port to the next one.
     name = tmp_path / "port"
     name.symlink_to(port)
     host = start_program(

@@ -1,4 +1,4 @@
-"""The command line itself: version, help, completion, standard input."""
+"""Tests of the command line as a whole: version, help, completion, standard input."""
 
 import collections
 import re
@@ -20,7 +20,7 @@ def test_the_module_and_its_version():
 
 
 def commands(command=None, path=()):
-    """Yield the words and the object of every command and group."""
+    """Yield the name and the object of each command and of each group of commands."""
     command = command or typer.main.get_command(app)
     yield " ".join(path), command
     for name, each in getattr(command, "commands", {}).items():

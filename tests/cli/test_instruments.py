@@ -1,4 +1,4 @@
-"""Vibrations, textures, and what they share with every run: recordings and pictures."""
+"""Tests of ``smarttouch live`` with vibrations and textures, recorded and drawn."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +17,7 @@ from .conftest import refused, says
 
 @pytest.fixture
 def played(program_here):
-    """Return a runner of a source that gives its figures, and what was ``noted``."""
+    """Return a function that runs a source and returns figures, output and notes."""
 
     def run(spec, more=""):
         done = program_here(f"live '{spec}' --set paced=no --json f.json {more}").fine()
@@ -27,12 +27,12 @@ def played(program_here):
 
 
 def test_all_three_on_an_emulated_board(played, tmp_path):
-    # At a level at which net current leaves every class its rate.
+    # At this intensity the limit of net current does not lower the rate of any class.
     spec = "tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N"
     figures = played(f"vibration:{spec}?seconds=1", "--intensity 0.3 --record r.mcap")
     assert figures["ended"] == "the end of the trace"
     assert figures["emulator_violations"] == 0
-    # RA at 30 a second, PC at every second cycle, at four sites; SAI as its force has it.
+    # At each of four sites, at least 28 RA pulses (30 Hz) and 120 PC pulses (half of 250 Hz).
     assert figures["slots"] > 4 * (28 + 120)
     assert "PC pulses stimulate another class" in figures["noted"]
     assert_replays(tmp_path / "r.mcap")
@@ -40,13 +40,13 @@ def test_all_three_on_an_emulated_board(played, tmp_path):
 
 def test_without_options_a_virtual_hand_strokes_a_grating(played, tmp_path):
     figures = played("texture:", "--intensity 0.7 --felt felt.png --set finger=paper")
-    # 60 mm there and back over 4 mm: 15 ridges each, at all of 64 electrodes.
+    # 60 mm there and back over a grating of 4 mm: 15 ridges each way, at 64 electrodes.
     assert figures["slots"] == pytest.approx(2 * 15 * 64, abs=64)
     assert figures["emulator_violations"] == 0
     assert figures["ended"] == "the hand has stopped"
     with Image.open(tmp_path / "felt.png") as picture:
         grey = np.asarray(picture.convert("L"), float)
-    # What was under the hand, and below it what was delivered there.
+    # The upper panel shows the texture under the hand, the lower one the delivered current.
     under, delivered = grey[52:260, 24:924], grey[312:520, 24:924]
     assert np.corrcoef(under.ravel(), delivered.ravel())[0, 1] > 0.6
 

@@ -1,4 +1,4 @@
-"""From a page to the emulator's books; the sample page through the installed program."""
+"""Tests of ``smarttouch live``: from a page to the delivery log of an emulated board."""
 
 import base64
 import json
@@ -36,7 +36,7 @@ def packed(message, key, kind):
 
 
 def assert_safe(figures, current_ma=5.0, charge_uc=0.5):
-    # On a machine that lets us starve for 0.1 s the board drops what it has, and is started anew.
+    # If a busy computer delays the host by 0.1 s, the board drops its sequences and restarts.
     assert 0 < figures["frames"] == figures["sequences"]
     assert figures["sequences"] - figures["acknowledged"] <= figures["restarts"] <= 2
     assert figures["refused"] <= figures["restarts"]
@@ -47,7 +47,7 @@ def assert_safe(figures, current_ma=5.0, charge_uc=0.5):
 
 
 def ink_agreement(page, touch):
-    """Correlation of two panels of a felt picture."""
+    """Return the largest correlation of two panels of a ``--felt`` picture, over small shifts."""
     best = 0.0
     for shift in range(-12, 13):
         moved = np.roll(touch, shift, axis=0)
@@ -66,11 +66,11 @@ def test_the_sample_page(program, tmp_path):
     assert set(figures["latency_us"]) == {"p50", "p99", "max"}
     assert_safe(figures)
     page, delivered, felt = panels(tmp_path / "felt.png", 3)
-    # On a busy machine a part is not delivered; in simulated time, below, more is asked for.
+    # A busy computer can drop sequences. Tests in simulated time require higher correlations.
     assert ink_agreement(page, delivered) > 0.2
     assert ink_agreement(page, felt) > 0.2
     sequences = messages(tmp_path / "run.mcap", "/step")
-    # A busy machine may be late: what is dropped then is recorded too, without a number.
+    # Sequences that are dropped because the computer is late are recorded too, but not as sent.
     sent = [sequence for sequence in sequences if sequence["sent"]]
     assert len(sent) == figures["frames"]
     assert len(sequences) == len(sent) + figures["dropped_late"] + figures["restarts"]
@@ -80,17 +80,17 @@ def test_the_sample_page(program, tmp_path):
 
 @pytest.mark.parametrize("name", sample(list_profiles(), 4))
 def test_every_profile_runs(figures_of, tmp_path, name):
-    # Axons that branch take seconds beneath a large array.
+    # Under a large array the simulation of branched axons takes seconds.
     anatomy = "branched" if len(load_profile(name).electrodes) <= 32 else "paper"
-    # The first letters open the level, with their pulses.
+    # The first words complete the ramp, which rises only while pulses flow.
     live = "live --set paced=no 'text:the the the the?speed_mm_s=30'"
     assert_safe(figures_of(f"{live} --profile={name} --felt=felt.png --set finger={anatomy}"))
-    # Arrays that show no shapes.
+    # These arrays cannot show letters, so do not compare panels.
     if name.startswith(("line", "concentric")):
         assert (tmp_path / "felt.png").stat().st_size > 1000
         return
     page, delivered, felt = panels(tmp_path / "felt.png", 3)
-    # Measured: .58 and .53 at least.
+    # The smallest measured correlations are .58 and .53.
     assert ink_agreement(page, delivered) > 0.5
     assert ink_agreement(page, felt) > 0.4
 
@@ -121,7 +121,7 @@ def test_many_points_in_a_slot(program_here, tmp_path):
 
 
 def lasts(*options, seconds):
-    """Run a short text with its output at a terminal; return whether it still runs after a time."""
+    """Return whether a run of a short text at a terminal still lasts after ``seconds``."""
     ours, terminal = pty.openpty()
     words = [PROGRAM, "live", "text:i?speed_mm_s=400", "--board", "simulated:", *options]
     with Forked(
@@ -147,13 +147,13 @@ def lasts(*options, seconds):
 def test_on_a_screen_it_is_read_again(monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     begun_s = time.monotonic()
-    assert not lasts("--plain", seconds=60), "this is read once"
+    assert not lasts("--plain", seconds=60), "with --plain a text must be read only once"
     assert lasts(seconds=1 + 2 * (time.monotonic() - begun_s))
 
 
 @pytest.fixture
 def live(program_here):
-    """Return a runner of ``live`` over a short word."""
+    """Return a function that runs ``live`` over a short word."""
     touch = "live text:touch?speed_mm_s=80 --json run.json --intensity 1"
     return lambda options: program_here(f"{touch} {options}")
 
@@ -171,7 +171,7 @@ def test_where_it_does_not_fit_the_rate_falls_with_a_note(live, program_here):
 
 def test_a_board_on_a_line_makes_them(live, start_emulator):
     _, port, books = start_emulator(64, "link")
-    # Within the word: what the limits leave of one scan is taken back by the next.
+    # Stop the run within the word: charge that is left after one scan is recharged in the next.
     options = f"--board link:{port} --force fixed:1 --set balance --seconds 0.8"
     figures = live(options).fine().figures
     assert figures["emulator_violations"] == 0

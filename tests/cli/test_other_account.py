@@ -1,4 +1,4 @@
-"""Another account of the machine finds no secret, steers nothing, and reads nothing of ours."""
+"""Tests that another user of the computer can neither steer a run nor read its files."""
 
 import json
 import os
@@ -63,7 +63,7 @@ BROWSER = '#!/bin/sh\n: > "$0.opened"\nwhile [ ! -e "$0.closed" ]; do sleep 0.05
 
 @pytest.fixture
 def open_folder():
-    """A folder that every account can look into."""
+    """Yield a folder that all users can read."""
     folder = Path(tempfile.mkdtemp(prefix="smarttouch-test-", dir="/tmp"))
     folder.chmod(0o755)
     yield folder
@@ -71,11 +71,11 @@ def open_folder():
 
 
 def has_steps(path):
-    """Return whether a step was recorded, in a file that is still written."""
+    """Return whether a recording, which can be unfinished, has a step."""
     try:
         return next(RecordedRun(path).steps(), None) is not None
     except RecordingError:
-        # It is not there, or its head is not yet complete.
+        # The file is missing, or its header is still incomplete.
         return False
 
 
@@ -98,7 +98,7 @@ def test_another_account_gets_in_by_no_door(start_program, other_account, open_f
     try:
         address = re.match("window: (http://[^ ]+) ", run.stderr.readline())[1]
         port = urlsplit(address).port
-        # The browser never loads its page; the run begins with another one.
+        # The fake browser never loads the page. The run begins when this socket connects.
         pages.enter_context(page_of(address))
         while not (has_steps(path) and (open_folder / "browser.opened").exists()):
             assert run.poll() is None
@@ -110,7 +110,7 @@ def test_another_account_gets_in_by_no_door(start_program, other_account, open_f
             "browser": 1, "secrets": 0, "read": ["browser"],
             "page": 403, "socket": 403, "root": 403, "stop": 403, "connected": False,
         }  # fmt: skip
-        # The same by this account finds all there is: what was looked for is there.
+        # Control: when the user of the run starts the same script, it finds secrets and files.
         given = [sys.executable, "-c", INTRUDER, str(port), str(door), str(open_folder)]
         ours = json.loads(subprocess.check_output(given, text=True))
         assert ours["secrets"] > 0
@@ -148,7 +148,7 @@ COMMANDS = {
 @pytest.mark.parametrize("name", COMMANDS)
 def test_files_and_folders_of_a_command(program_here, tmp_path, monkeypatch, name):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    # Made by a library for the state of runs, with no more than their process numbers in it.
+    # The test excludes the folder of run states, so the mode of this folder does not matter.
     (tmp_path / "state").mkdir()
     (tmp_path / "pictures").mkdir(mode=0o700)
     before = os.umask(0)

@@ -1,4 +1,4 @@
-"""Reading with a fingertip, by the command line."""
+"""Tests of ``smarttouch read`` and of the legibility of pages."""
 
 import itertools
 import json
@@ -32,14 +32,14 @@ needs_tesseract = pytest.mark.skipif(
 
 @pytest.fixture(autouse=True)
 def in_this_process():
-    """Lines and fingers one after another: starting processes would take longer."""
+    """Let joblib run all jobs in this process, because starting worker processes takes longer."""
     with joblib.parallel_config("sequential"):
         yield
 
 
 @pytest.fixture
 def page_file(tmp_path):
-    """An image file of a page with two lines; it does not say how large it is."""
+    """Return an image file of a page with two lines, without a stated resolution."""
     path = tmp_path / "page.png"
     Image.fromarray(print_text("a thin\nlight beam").grey).save(path)
     return path
@@ -61,7 +61,7 @@ def test_an_image_without_a_board(program_here, tmp_path):
     done = program_here(f"read small.png --set paced=no {kept}").fine()
     assert done.stderr.strip() == ""
     assert done.figures["ended"] == "end of the text"
-    # Above what passed under the finger, then what was delivered, then what was felt: the same.
+    # From top to bottom, page, delivered current and felt spikes must look alike.
     above, delivered, felt = panels(tmp_path / "felt.png", 3)
     assert np.corrcoef(above.ravel(), delivered.ravel())[0, 1] > 0.7
     assert np.corrcoef(above.ravel(), felt.ravel())[0, 1] > 0.4
@@ -79,7 +79,7 @@ def test_legibility_of_a_page(program_here, tmp_path, page_file):
     (tmp_path / "truth.txt").write_text("a thin light beam")
     done = program_here(f"simulate page {page_file} --truth truth.txt --json f.json").fine()
     figures = done.figures
-    assert figures["page_error_rate"] <= 0.06  # one of 17 characters
+    assert figures["page_error_rate"] <= 0.06  # at most one wrong character of 17
     assert figures["character_error_rate"] <= 0.2
     assert (figures["rows"], figures["lines"]) == (8, 2)
     assert figures["text"] in done.stdout
@@ -107,7 +107,7 @@ def test_a_picture_of_braille_is_refused_and_shown_by_live(program_here, figures
 
 
 def lines_of(path):
-    """Return which line was under the finger in each step of a recording, also unfinished."""
+    """Return the line under the finger in each step of a recording, which can be unfinished."""
     try:
         heights = [recorded.step.input.pose.y_mm for recorded in RecordedRun(path).steps()]
     except SmartTouchError:

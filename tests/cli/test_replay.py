@@ -1,4 +1,4 @@
-"""Recordings from the command line: summarized and checked."""
+"""Tests of ``smarttouch replay``: summary, check, and replay to a board."""
 
 import json
 import os
@@ -17,7 +17,7 @@ from .conftest import refused, says
 
 @pytest.fixture
 def recording(tmp_path):
-    """A copy of a golden that may be broken."""
+    """Return a copy of a reference recording, which a test can damage."""
     golden = Path(__file__).parents[1] / "running" / "goldens" / "sai-levels.mcap"
     path = tmp_path / "run.mcap"
     path.write_bytes(golden.read_bytes())
@@ -69,7 +69,7 @@ GOLDEN = Path(__file__).parents[1] / "running" / "goldens" / "kajimoto.mcap"
 
 @pytest.fixture
 def forge(tmp_path):
-    """Return a maker of recordings whose profile differs in one key."""
+    """Return a function that writes a recording whose profile differs in one key."""
 
     def make(key, value):
         about, messages = take_apart(GOLDEN)
@@ -85,7 +85,7 @@ def forge(tmp_path):
 
 @pytest.fixture
 def port():
-    """A serial port that nobody answers at: its far end and its name."""
+    """Yield the far end and the name of a serial port without a board."""
     far, near = os.openpty()
     tty.setraw(near)
     os.set_blocking(far, False)
@@ -96,14 +96,14 @@ def port():
 
 @pytest.fixture
 def into(program_here):
-    """Return what replays a recording into a board; its error."""
+    """Return a function that replays a recording to a board and returns the error."""
     board = "--intensity", 1, "--board"
     return lambda recording, url: refused(program_here("replay", recording, *board, url))
 
 
 @pytest.mark.parametrize("scale", [0.00244, 2440.0])
 def test_a_misread_unit_in_a_recording_reaches_no_board(forge, port, into, monkeypatch, scale):
-    """The outputs of a board with a finger on it are described by its user's profile."""
+    """On a finger, the scale of outputs comes from the user's profile, not from the recording."""
     outputs = []
 
     def made(_url, _limits, output):
@@ -132,7 +132,7 @@ def test_what_a_profile_may_not_hold_a_recording_may_not(forge, port, into, key,
 
 
 def forge_a_strong_one(path, comfort_ma):
-    """Write a recording whose profile allows much, under a force that presses."""
+    """Write a recording with high limits in its profile, and with force on the finger."""
     about, messages = take_apart(GOLDEN.with_name("ra.mcap"))
     profile = json.loads(about["profile"])
     profile["limits"] |= {"current_ma": 5.0, "charge_uc": 0.5, "ramp_s": 0.5}
@@ -147,7 +147,7 @@ def forge_a_strong_one(path, comfort_ma):
 
 @pytest.mark.parametrize(
     ("comfort_ma", "events", "most_ma"),
-    # Above what the user's profile allows, below it, and on a board that measures no force.
+    # Comfort level above the user's limit; below the limit; and a board that measures 0 N.
     [(4.998, (), 2.4), (1.2, (), 1.2), (4.998, ("event=0 force 0",), 0.0)],
 )
 def test_a_recording_brings_to_a_finger_neither_limits_nor_force(
@@ -167,7 +167,7 @@ def test_a_recording_brings_no_press_where_no_force_is_measured(
     program_here, start_emulator, tmp_path
 ):
     forge_a_strong_one(tmp_path / "a.mcap", 4.998)
-    # A board without a sensor of force: a person says that one presses, or there is no run.
+    # On a board without force sensor a run needs --force; the recorded force does not count.
     _, port, books = start_emulator(61, "kajimoto61")
     for command in (("replay", "a.mcap"), ("live", "text:on")):
         done = program_here(*command, "--board", f"kajimoto61:{port}", "--intensity", 1)

@@ -1,4 +1,4 @@
-"""The screen of a run at several sizes of the terminal, and a line for each event without it."""
+"""Tests of the screen of a run at several sizes, and of the plain lines that replace it."""
 
 import io
 import itertools
@@ -45,7 +45,7 @@ def sent(request, profile, bank):
 
 @pytest.fixture
 def shown(profile, monkeypatch):
-    """Return a function that gives the lines of a screen of some size, after some events."""
+    """Return a function that draws the screen at a given size and returns its lines."""
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
 
     def lines(size, *told, color=True, keys_help=""):
@@ -86,7 +86,7 @@ def test_all_that_counts_is_there_and_whole(shown, sent, size, color):
     for key in ("+ −", "0 ", "space", "m ", "q"):
         assert key in top
     assert str(Mode.SAI) in top
-    # Each electrode has a sign of its own.
+    # Each electrode is drawn as one mark.
     assert sum(all_of_it.count(mark) for mark in MARKS) == 64
     assert all_of_it.count("·") == 64 - sent.sequence.points
     if size[1] >= 24:
@@ -173,7 +173,7 @@ def test_where_nothing_is_drawn(monkeypatch, terminal, dumb, asked, plain):
     run = SimpleNamespace(source=SimpleNamespace(title="a\nb"), profile=SimpleNamespace(title="p"))
     screen = Screen("emulator:", plain=asked)
     screen.event(Paused(1_500_000_000))
-    # What happens before the board is open is told when it is.
+    # Events before the board is open are printed when it opens.
     assert console.file.getvalue() == ""
     screen.start(run)
     screen.event(Resumed(2_500_000_000))

@@ -1,4 +1,4 @@
-"""Programs are stopped while they open a board, while they wait, and with a terminal that hangs."""
+"""Tests that stop a program before or while it opens a board, or at a hung terminal."""
 
 import contextlib
 import os
@@ -22,7 +22,7 @@ PATIENCE_S = 30
 
 @pytest.fixture
 def deaf():
-    """A port on which nobody answers, and what was written to it until now."""
+    """Yield a port without a board, and a function that returns the bytes written to it."""
     line = PtyLine()
     yield line.name, lambda: line.read(0) or b""
     os.close(line._master)
@@ -43,7 +43,7 @@ def test_a_signal_while_a_board_is_being_opened(start_program, deaf, number, nam
 
 
 def test_a_stop_before_a_command_opens_its_board(start_program, program_here, deaf):
-    """It is announced before it designs the kernels of a new profile."""
+    """A run is registered before the command designs kernels, so that a stop finds the run."""
     port, written = deaf
     program_here("profiles new --grid 12x12 --pitch 1.4 new.toml").fine()
     process = start_program(
@@ -58,7 +58,7 @@ def test_a_stop_before_a_command_opens_its_board(start_program, program_here, de
 
 
 def test_a_program_that_was_started_before_a_stop_drives_nothing(start_program, program_here, deaf):
-    """Stopped while it imports, when nobody can know of it yet."""
+    """The stop comes while the program still imports modules and has not registered its run."""
     port, written = deaf
     process = start_program("live", "--board", f"link:{port}", "--intensity", "1", real=True)
     process.send_signal(signal.SIGSTOP)
@@ -73,7 +73,7 @@ def test_a_program_that_was_started_before_a_stop_drives_nothing(start_program, 
 
 @pytest.fixture
 def stuck_terminal():
-    """A terminal that has stopped reading: the end of its keyboard, and its name."""
+    """Yield the keyboard end and the program end of a terminal whose output buffer is full."""
     keys, terminal = os.openpty()
     settings = termios.tcgetattr(terminal)
     settings[3] &= ~termios.ECHO
@@ -102,7 +102,7 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
     until(lambda: read_state(books)["slots"] > 50)
     if isinstance(end, bytes):
         os.write(keys, end)
-        # What is printed last would be waited for: only someone who stops it ends that.
+        # The program waits for the terminal to print its last lines, until a signal ends the wait.
         emulator.wait(PATIENCE_S)
         assert read_state(books)["state"] == "shorted"
         process.send_signal(signal.SIGTERM)

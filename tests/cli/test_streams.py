@@ -1,4 +1,4 @@
-"""Streams that are closed, full or obeyed by a terminal, and unexpected names."""
+"""Tests of closed or full streams, control characters in output, and unusual file names."""
 
 import json
 import os
@@ -23,7 +23,7 @@ OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 @pytest.fixture
 def shell(tmp_path):
-    """Return a runner of a line of shell, in which `smarttouch` is the program."""
+    """Return a function that runs a shell line, in which `smarttouch` is the tested program."""
 
     def run(line, **environment):
         line = f'smarttouch() {{ {shlex.quote(str(PROGRAM))} "$@"; }}; {line}'
@@ -36,7 +36,7 @@ def shell(tmp_path):
 
 
 def refused(code, said):
-    """Check that a run ended with one sentence; return it."""
+    """Check for exit code 2 and one line on stderr; return this line."""
     assert (code, said[:12], said.count(b"\n")) == (2, b"smarttouch: ", 1), said
     return said.decode()
 
@@ -61,7 +61,7 @@ def test_errors_are_printed_where_that_stream_is_open(shell, closed):
     "profiles", "--help", SHORT, "braille hello",
 ])  # fmt: skip
 def test_a_full_disk_behind_standard_output(tmp_path, command):
-    # One of them is really started: how it ends is the interpreter's too.
+    # One command runs in a new process, to test the exit of the interpreter as well.
     start = subprocess.Popen if command == "profiles" else Forked
     with (
         Path("/dev/full").open("w") as full,
@@ -99,7 +99,7 @@ def evil_profile(folder, name):
 
 
 def shown(done):
-    """Return all that a run printed, having checked that a terminal obeys none of it."""
+    """Check that a run printed no control characters and no traceback; return its output."""
     text = done.stdout + done.stderr
     assert not OBEYED.search(text), OBEYED.search(text)
     assert "Traceback" not in text

@@ -1,4 +1,4 @@
-"""``--window``: what is missing for it, and a run that a page stops."""
+"""Tests of ``--window``: missing libraries, and pages that start, steer and stop a run."""
 
 import json
 import re
@@ -28,7 +28,7 @@ FIRST = re.compile("window: (http://[^ ]+) ")
 
 
 def receive(page, kind):
-    """Return the next message of a kind."""
+    """Return the next message of a kind; confirm each update before it with "seen"."""
     while True:
         message = json.loads(page.recv(timeout=60))
         if message["type"] == kind:
@@ -41,7 +41,7 @@ def receive(page, kind):
 def test_a_window_waits_for_its_page_and_shows_the_end_until_that_is_closed(start_program):
     run = start_program("live", "text:a?passes=1", "--window", "--profile", "smarttouch-4x4")
     address = FIRST.match(run.stderr.readline())[1]
-    # Nothing is shown to nobody, although a page of one letter would be over by now.
+    # The run waits for its page; otherwise the single letter would have been read by now.
     time.sleep(0.6)
     assert run.poll() is None
     with page_of(address) as page:
@@ -64,7 +64,7 @@ def test_a_window_nobody_opens_is_given_up(start_program):
 
 
 def page_of(address):
-    """Return the socket of a page."""
+    """Return a socket that acts as the page at an address."""
     place = urlsplit(address)
     secret = place.path.split("/")[1]
     return connect(
@@ -73,7 +73,7 @@ def page_of(address):
 
 
 def state(page):
-    """Return the next state that a page is sent, and its picture."""
+    """Return the state in the next update of a page, and the picture or None."""
     while True:
         message = json.loads(page.recv(timeout=20))
         if message["type"] == "update":
@@ -95,9 +95,9 @@ def test_on_a_finger_a_page_turns_it_up_from_nothing(start_program, start_emulat
         page.send("do more")
         while not (state(page)[1] or {}).get("intensity"):
             pass
-    # Gone, and there is no keyboard.
+    # The page has disconnected, and there is no keyboard: the run must pause.
     with page_of(address) as page:
-        # The loop has seen it, too, once nothing flows.
+        # Wait until no current flows: then the loop has paused as well.
         while not (now := state(page))[0]["paused"] or (now[1] or {}).get("intensity") != 0:
             pass
         assert now[0]["level"] > 0

@@ -75,7 +75,7 @@ class _SelfServer:
         for each in (sys.stdout, sys.stderr):
             each.flush()
         with warnings.catch_warnings():
-            # Python warns of forks with threads, but the child does not use any of these threads.
+            # Python warns of forks of a process with threads; the child does not use these threads.
             warnings.simplefilter("ignore", DeprecationWarning)
             if number := os.fork():
                 return number

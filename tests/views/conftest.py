@@ -16,7 +16,7 @@ from ..support.runs import until
 from .browser import chromium
 
 WAIT_S = 60
-MARGIN_MM = 1.2  # around the electrodes
+MARGIN_MM = 1.2  # shown around the electrodes
 CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
 
 

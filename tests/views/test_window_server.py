@@ -38,7 +38,7 @@ def on_page(browser, running):
 
 def test_pixels_are_the_delivered_sequence(on_page, profile):
     def driven():
-        """Return drawing and sequence; None if a delay of the computer emptied the sequence."""
+        """Return drawing and sequence, or None if the sequence is empty after a computer delay."""
         found = drawn(page, profile)
         sequence = run.results[found["number"]].sequence
         return (found, sequence) if sequence.slots else None
@@ -74,7 +74,7 @@ def test_a_second_page_takes_over_when_the_first_is_closed_and_can_always_stop(o
         page.wait_for_selector("#steer[aria-pressed=true]")
         # Space pauses the run on the page that steers, and stops the run on any other page.
         with opened(browser, run.address) as other:
-            # Wait for `less`: at full level `more` is also disabled on the page that steers.
+            # Wait for button `less`: at full level `more` is also disabled on the page that steers.
             other.wait_for_selector("#less:disabled")
             other.keyboard.press("Space")
             assert run.ended() == "the window"
@@ -116,7 +116,7 @@ def test_the_pointer_in_a_browser_is_the_hand(browser, running, profile):
         box = page.locator("#page").bounding_box()
         middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         page.mouse.move(*middle)
-        mm_per_px = 100 / box["height"]  # the page shows all 100 mm of the sheet
+        mm_per_px = 100 / box["height"]  # the sheet, 100 mm high, is shown in full
         page.mouse.move(middle[0] + 20 / mm_per_px, middle[1] - 10 / mm_per_px, steps=30)
         until(lambda: any(is_near(each.input.pose) for each in [*run.results.values()]))
         assert json.loads(run.window.hello)["moves"]
