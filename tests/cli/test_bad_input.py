@@ -99,7 +99,7 @@ def no_place(name):
     ("live camera:0?size=640", says(SourceError, "size", "640x480")),
     ("live text:a?exposure=3", says(SourceError, " exposure:", "speed_mm_s")),
     ("live --mode natural --set rate_hz=50",
-     says(ScheduleError, " 50 Hz", "pulse.ra_rate_hz", "pulse.sai_rate_hz")),
+     says(ScheduleError, "rate_hz=50", "pulse.ra_rate_hz", "pulse.sai_rate_hz")),
     ("live --force cell:", says(SourceError, value="cell:")),
     ("design 7 --profile=line-7", says(value=7, allowed=(0, 6))),
     ("design --mode=PA", says(value="PA", allowed=("RA", "SAI", "PC"))),

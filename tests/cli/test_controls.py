@@ -51,7 +51,7 @@ def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
     os.write(keys, b"q")
     assert ended(process, tmp_path)["ended"] == "key q"
     words = [words for _, words in RecordedRun(tmp_path / "run.mcap").events]
-    assert words.pop().startswith("dose ")
+    assert words.pop().startswith("dose: ")
     assert words.pop().startswith("counted by the board")
     assert words == [
         "intensity 0.10", "mode RA", "intensity 0.15", "intensity 0.20", "intensity 0.15", "paused",
