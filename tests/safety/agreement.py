@@ -1,7 +1,7 @@
-"""Gate and oracle on the same sequences: ``python -m tests.safety.agreement 1000000``.
+"""Comparison of safety gate and oracle: ``python -m tests.safety.agreement 1000000``.
 
-Run in the repository's root; ``--jobs 2`` divides the work among processes. It prints a table
-and ends with 1 if the two disagree anywhere, or a limit was never the only one broken.
+Run it in the repository's root; ``--jobs 2`` starts two processes. Both judge the same random
+sequences. The exit status is 1 if they disagree, or if a rule was never the only one broken.
 """
 
 import argparse
@@ -21,44 +21,44 @@ from .gates import GateUnderTest, faults_of_copy
 from .oracle import NAMES, Oracle
 
 STREAM = 80
-"""Sequences to one gate."""
+"""Number of random sequences for one gate."""
 WRITTEN = 0.95
-"""Part of the sequences that are written; others are replaced by newer ones."""
+"""Share of sequences that are written to the board before a newer sequence replaces them."""
 HURRIES = (
     "sequences in a second", "strong in a second", "mean in a second", "mean in a second",
-    "net in a second", "takes back", "session time", "session charge",
+    "net in a second", "reduces charge", "session time", "session charge",
 )  # fmt: skip
-"""Limits over time at whose edge half of the streams stay, one sequence after another."""
+"""Half of the streams attack mostly one of these rules, with sequences in quick succession."""
 UNSAFE, STRICT, CRASH, COPY = (
-    "accepted by the gate alone", "refused by the gate alone", "an error not of the gate's own",
-    "a copy of other numbers",
+    "accepted only by the gate", "refused only by the gate", "unexpected error of the gate",
+    "wrong or writable field in the gate's copy",
 )  # fmt: skip
 
 
 @dataclass
 class Tally:
-    """Results of many questions."""
+    """Counts of sequences, broken rules and disagreements."""
 
     accepted: int = 0
     refused: int = 0
     broken: Counter = field(default_factory=Counter)
     only: Counter = field(default_factory=Counter)
-    """How often each rule was the only one broken."""
+    """Number of sequences that broke only this rule, by rule."""
     faults: Counter = field(default_factory=Counter)
-    """Disagreements by kind and by rules, limit, error or field."""
+    """Number of disagreements, by kind and detail (rules, limit, error or field)."""
     first: dict = field(default_factory=dict)
-    """Where each fault came first."""
+    """Display, seed, index and attack of the first sequence with each fault."""
 
     @property
     def asked(self):
         return self.accepted + self.refused
 
     def missing(self):
-        """Return the rules that were never the only one broken."""
+        """Return the rules that were never the only broken rule of a sequence."""
         return sorted(set(NAMES) - set(self.only))
 
     def note(self, broken, answer, sequence, where):
-        """Enter what an oracle and a gate say of a sequence."""
+        """Count a sequence: the rules that the oracle found broken, and the gate's answer."""
         self.accepted += answer.accepted
         self.refused += not answer.accepted
         self.broken.update(broken)
@@ -77,7 +77,7 @@ class Tally:
             self.first.setdefault(fault, where)
 
     def add(self, other):
-        """Add up with that of another process."""
+        """Add the counts of another process."""
         self.accepted += other.accepted
         self.refused += other.refused
         for name in ("broken", "only", "faults"):
@@ -85,19 +85,19 @@ class Tally:
         self.first = other.first | self.first
 
     def table(self):
-        """Return it for people."""
-        lines = [f"{self.asked} asked, {self.accepted} accepted, {self.refused} refused"]
-        lines.append(f"{'rule':22}{'broken':>10}{'alone':>10}")
+        """Return the counts as a text table."""
+        lines = [f"{self.asked} sequences: {self.accepted} accepted, {self.refused} refused"]
+        lines.append(f"{'rule':22}{'broken':>10}{'only this':>10}")
         lines += [f"{name:22}{self.broken[name]:10}{self.only[name]:10}" for name in NAMES]
         for (kind, what), count in self.faults.most_common(30):
             lines.append(f"{count} x {kind}: {what}, first at {self.first[kind, what]}")
-        lines.append(f"disagreements: {self.faults.total()}; never alone: {self.missing()}")
+        lines.append(f"{self.faults.total()} disagreements; never broken alone: {self.missing()}")
         return "\n".join(lines)
 
 
 def drawn(oracle, rng, clock_ns, time_ns, attack=None):
-    """Return a draft, its sequence and what it is: ordinary, garbage, or the limit at whose edge it
-    is, which may be given.
+    """Draw a draft; return the draft, its sequence and its kind: "ordinary", "garbage", or the
+    name of the attacked limit. Without ``attack``, the kind is random.
     """
     draft = ordinary(oracle, rng, clock_ns, time_ns, full=attack is not None)
     chance = 1.0 if attack else rng.random()
@@ -111,7 +111,7 @@ def drawn(oracle, rng, clock_ns, time_ns, attack=None):
 
 
 def stream(name, seed, tally, make_gate=GateUnderTest, count=STREAM):
-    """Send one gate of a display a stream of sequences, until it and the oracle disagree."""
+    """Send a stream of sequences to one gate of a display, until gate and oracle disagree."""
     rng = random.Random(f"{name} {seed}")
     profile = display(name)
     oracle, gate = Oracle(profile), make_gate(profile)
@@ -121,7 +121,7 @@ def stream(name, seed, tally, make_gate=GateUnderTest, count=STREAM):
     if hurry == "sequences in a second":
         count += oracle.bounds.most_passes
     for index in range(count):
-        # Bounded: an opening that some other limit forbids opens nothing, however often.
+        # Limit the number of tries, because other limits may forbid sequences that raise the ramp.
         for _ in range(2 + oracle.bounds.ramp_ns // LATE_NS if index == 1 and opens else 0):
             draft = opening(oracle, clock_ns + 1, time_ns + 1)
             if not question(gate, oracle, draft, draft.made(), tally, (name, seed, 1, "opening")):
@@ -144,7 +144,7 @@ def stream(name, seed, tally, make_gate=GateUnderTest, count=STREAM):
 
 
 def question(gate, oracle, draft, sequence, tally, where, written=True):
-    """Ask both of a sequence; return whether they agree."""
+    """Let oracle and gate judge a sequence; return whether they agree."""
     broken = oracle.judge(sequence, draft.clock_ns, draft.times, written=written)
     answer = gate.ask(sequence, draft.clock_ns, draft.times, written)
     tally.note(broken, answer, sequence, where)
@@ -152,7 +152,7 @@ def question(gate, oracle, draft, sequence, tally, where, written=True):
 
 
 def attack(first_seed, count, make_gate=GateUnderTest):
-    """Ask so many questions, of one display after another; return what came of them."""
+    """Send at least ``count`` sequences to the gates of all displays in turn; return the tally."""
     tally, seed = Tally(), first_seed
     names = display_names()
     while tally.asked < count:
@@ -165,7 +165,7 @@ def main():
     parser = argparse.ArgumentParser(prog="python -m tests.safety.agreement", description=__doc__)
     parser.add_argument("count", type=int, nargs="?", default=10_000)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--seed", type=int, default=0, help="of the first stream")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the first stream")
     options = parser.parse_args()
     started, tally = time.perf_counter(), Tally()
     share = -(-options.count // options.jobs)

@@ -1,6 +1,6 @@
-"""The limits of one profile as whole numbers, written from their definitions alone.
+"""Limits of a profile as exact integers and fractions, computed from their definitions.
 
-Nothing here or in the other modules of the oracle may import `smarttouch.stimulation.safety_gate`.
+No module of the oracle may import `smarttouch.stimulation.safety_gate`.
 """
 
 import math
@@ -12,28 +12,29 @@ import numpy as np
 
 NS = 10**9
 WHOLE = 10**9
-"""Intensity counts in parts per billion: this much is full."""
+"""Full intensity, in parts per billion (ppb)."""
 FREE_RISE = 1_000
-"""Parts per billion by which intensity may always rise."""
+"""Tolerance of the ramp for rounding errors, ppb."""
 TIMES_ITS_SHARE = 4
-"""A pulse counts for so many times its share of a full one's charge, and for no more intensity."""
+"""Largest ratio of a sequence's strength to its relative charge: largest pulse over full pulse."""
 LATE_NS = 100_000_000
-"""What is later than this is dropped, so that a sequence may claim so much more of the ramp."""
+"""Delay after which a sequence is dropped. Strength may exceed the ramp by the rise in this time,
+so that a late sequence can catch up."""
 LONGEST_PERIOD_US = 60_000_000
 LATEST_NS = 2**62
 LEAST_DISCHARGE_US = 20
 STRONG_A_SECOND = 1_500
 MEAN_UA = 500
 NET_PC = 50 * 10**6
-"""Net charge of an electrode in a second: 50 µA."""
+"""Largest net charge of an electrode in a second, pC: a mean of 50 µA."""
 LEVEL_KEPT_NS = 15 * NS
-"""Time after the last current for which its level stays open."""
+"""Time without current after which the ramp's level falls to zero."""
 LONGEST_SHARE_US = 40_000
-"""One sequence brings an electrode at most what the two above allow in this time."""
+"""A sequence may use `STRONG_A_SECOND` and `MEAN_UA` for its period, but at most for this time."""
 TOTAL_MA = 10
 DENSITY_UC_CM2 = 100
 PC_MM2 = 10**4
-"""1 µC/cm²."""
+"""Charge density of 1 µC/cm², in pC/mm²."""
 SHANNON_K = Decimal("1.75")
 SESSION_S = 3_600
 SESSION_MC = 1_800
@@ -45,17 +46,17 @@ PI = Decimal("3.14159265358979323846264338327950288419716939937510")
 
 
 def dec(value):
-    """Return a float as the decimal that a person wrote."""
+    """Convert a float to a fraction by its decimal notation: 2.4 becomes exactly 12/5."""
     return Fraction(repr(float(value)))
 
 
 def exact(value):
-    """Return a float as the binary fraction that it is."""
+    """Convert a float to the fraction that equals its binary value."""
     return Fraction(float(value))
 
 
 def area_mm2(array):
-    """Return the area of one electrode, as a Decimal; a point counts as a disc of 1 mm."""
+    """Return the area of one electrode, mm². A point counts as a disc of 1 mm diameter."""
     first, second = (Decimal(repr(float(size))) for size in array.size_mm)
     if array.shape == "point":
         return PI / 4
@@ -65,7 +66,7 @@ def area_mm2(array):
 
 
 def charge_pc(charge_uc, area, density_uc_cm2):
-    """Return the largest whole charge of a pulse: by itself, by density, by Shannon's rule."""
+    """Return the largest charge of a pulse, pC, by the limits of charge, density and Shannon."""
     with localcontext(prec=60):
         own = Decimal(repr(float(charge_uc))) * 10**6
         if area is None:
@@ -77,14 +78,13 @@ def charge_pc(charge_uc, area, density_uc_cm2):
 
 @dataclass(frozen=True)
 class Bounds:
-    """Whole numbers that no sequence of a display may exceed.
+    """Limits for the sequences of a display.
 
-    Of each electrode: the largest current, what counts as a strong pulse, and the largest current
-    of a recharge phase (the latter two None where no threshold is known). ``full_ua`` is the
-    strongest current at full intensity, ``usual_us`` the width of a full pulse, of whose charge
-    others are a share,
-    ``source_pc`` the charge of a pulse of all cathodes where one source drives them: others may be
-    off the skin. ``session_us`` and ``session_pc`` are of a whole session and one electrode.
+    ``electrode_ua``, ``strong_ua`` and ``recharge_ua`` have a value for each electrode: its largest
+    current, the smallest current of a perceptible pulse, and the largest recharge current. The last
+    two are None if thresholds are unknown. A full pulse is ``full_ua`` for ``usual_us``.
+    ``source_pc`` limits the charge of all cathodes of a board with one source, because a single
+    electrode carries it if the others lose contact. ``session_pc`` holds for each electrode.
     """
 
     electrodes: int
@@ -105,32 +105,32 @@ class Bounds:
 
     @property
     def rounding_ua(self):
-        """Whole µA that sum to zero may be off by this much."""
+        """Largest rounding error of the electrode that balances the others, µA."""
         return Fraction(self.electrodes, 2) + 1
 
     @property
     def late_rise(self):
-        """Parts per billion that intensity may be ahead of the current that has flowed."""
+        """Rise of the ramp in `LATE_NS`, ppb."""
         return LATE_NS * WHOLE // self.ramp_ns
 
     @property
     def full_pc(self):
-        """Charge of a full pulse."""
+        """Charge of a full pulse, pC."""
         return self.full_ua * self.usual_us
 
     def strength_ppb(self, ppb, peak_pc):
-        """Return what a claimed intensity amounts to with pulses of so much charge at most."""
+        """Return a sequence's strength, ppb, from its intensity and its largest pulse charge."""
         share = math.ceil(WHOLE * Fraction(peak_pc) / self.full_pc)
         return min(WHOLE, max(share, min(ppb, TIMES_ITS_SHARE * share)))
 
     @property
     def most_passes(self):
-        """Passes that may begin from a second ago to as late as a sequence may be."""
+        """Largest number of passes that may begin in a second plus `LATE_NS`."""
         return math.ceil(self.rate_hz * (NS + LATE_NS) / NS) + 1
 
     @classmethod
     def of(cls, profile):
-        """Return those of a profile."""
+        """Return the bounds of a profile."""
         return cls._made(
             profile.limits,
             len(profile.electrodes),
@@ -144,7 +144,7 @@ class Bounds:
 
     @classmethod
     def of_limits(cls, limits):
-        """Return those of limits made by hand, which know what they are given and no more."""
+        """Return the bounds of a `SafetyLimits` that was made without a profile."""
         thresholds = limits.threshold_ma
         if thresholds is not None:
             thresholds = [exact(x) for x in np.broadcast_to(thresholds, (limits.electrodes,))]

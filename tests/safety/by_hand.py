@@ -1,4 +1,4 @@
-"""Small sequences and limits by hand: for the oracle of four electrodes, for gates of 64."""
+"""Short sequences and their limits, for tests of the oracle with four electrodes."""
 
 from fractions import Fraction
 
@@ -30,5 +30,5 @@ def sequence(rows, *, width=100, discharge=50, period=20_000, intensity=1.0, tim
 
 
 def pair(first, count=1):
-    """Slots in which one electrode drives, and another returns."""
+    """Return ``count`` slots: electrode 0 carries ``first`` µA, electrode 1 the opposite."""
     return [[first, -first, 0, 0]] * count

@@ -1,4 +1,4 @@
-"""The judge of what flowed: the pulses in an emulator's books, by the limits' definitions."""
+"""Check of delivered pulses against the definitions of the limits."""
 
 from dataclasses import dataclass
 
@@ -10,27 +10,27 @@ from smarttouch.emulator.skin import SPREAD
 from .bounds import MEAN_UA, STRONG_A_SECOND
 
 SHARED = (1 + SPREAD) / (1 - SPREAD)
-"""How much more than planned an electrode may carry that shares its pole with others.
+"""Largest ratio of delivered to planned current, for electrodes that share a polarity: 1.353.
 
-One source's current divides by the impedances of a pole, which differ in the emulated skin by
-``SPREAD`` each way. The best of many carries at most this much more than the average of the
-others, 1.353; that of an electrode alone in its pole is the source's own.
+A single source divides its current among them by their impedances, which differ by up to ±`SPREAD`
+in the emulated skin. A single cathode or anode carries the complete current of the source, which
+is known.
 """
 ROUNDING_UA = 0.5
-"""Books hold whole µA."""
+"""Rounding error of currents in delivery logs, which hold integer µA."""
 CLOSE = 1 + 1e-5
-"""Books hold charges in single precision."""
+"""Tolerance for charges in delivery logs, which have single precision."""
 BURST = 1 + 0.1 + 0.04
-"""Shares of a second that may crowd into one of the board's: what 100 ms of lateness moves, and
-one sequence, which brings at most what 40 ms allow."""
+"""Largest allowed ratio of the sum over any second to its limit. A delay of up to 100 ms adds 0.1,
+and a sequence that delivers the current of 40 ms at once adds 0.04."""
 SECOND_US = 10**6
 
 
 @dataclass(frozen=True)
 class Pulses:
-    """Pulses in the order of time, (N,) and (N, E).
+    """Delivered pulses in order of time; arrays are (N,) and (N, E).
 
-    ``time_us`` is None where no time is known, ``width_us`` where it follows from charge alone.
+    ``time_us`` is None if times are unknown; ``width_us`` is None if widths are unknown.
     """
 
     current_ua: np.ndarray
@@ -40,7 +40,7 @@ class Pulses:
 
     @classmethod
     def of_books(cls, folder):
-        """Return those in a folder that an emulator kept its books in."""
+        """Read the pulses from the folder of an emulator's delivery log."""
         slots = read_slots(folder)
         return cls(
             slots["current_ua"].astype(np.float64),
@@ -50,20 +50,20 @@ class Pulses:
 
     @classmethod
     def taken(cls, numbers, width_us, current_ua):
-        """Return those that `SimulatedDriver.take_pulses` gave."""
+        """Convert the pulses that `SimulatedDriver.take_pulses` returned."""
         current_ua = current_ua.astype(np.float64)
         return cls(current_ua, current_ua * width_us[:, None], width_us)
 
 
 def judge_pulses(pulses, bounds):
-    """Return the names of all limits that pulses break."""
+    """Return the names of all limits that the pulses exceed."""
     if not len(pulses.current_ua):
         return []
     current_ua, charge_pc = np.abs(pulses.current_ua), np.abs(pulses.charge_pc)
     allowance, every_ua = _allowance(pulses), bounds.electrodes * ROUNDING_UA
     totals_ua = np.maximum(pulses.current_ua, 0).sum(axis=1)
     if pulses.width_us is None:
-        # A mean current and its charge tell the width, as closely as whole µA do.
+        # Width is charge divided by mean current; allow for the rounding of currents.
         rounding_pc = 0
         keeps_width = charge_pc <= (current_ua + ROUNDING_UA) * bounds.pulse_us * CLOSE
     else:
@@ -83,7 +83,7 @@ def judge_pulses(pulses, bounds):
 
 
 def _allowance(pulses):
-    """Return how much more than planned each electrode may carry in each pulse, (N, E)."""
+    """Return the largest ratio of delivered to planned current, (N, E)."""
     current = pulses.current_ua
     poles = [(current > 0).sum(axis=1), (current < 0).sum(axis=1)]
     shares = np.where(current > 0, poles[0][:, None], poles[1][:, None]) > 1
@@ -105,7 +105,7 @@ def _keeps_mean(pulses):
 
 
 def _most_in_a_second(time_us, amounts):
-    """Return the largest sum of any electrode's amounts (N, E) over any second."""
+    """Return the largest sum of ``amounts``, (N, E), over any second, for any electrode."""
     sums = np.vstack([np.zeros(amounts.shape[1]), np.cumsum(amounts, axis=0)])
     first = np.searchsorted(time_us, time_us - SECOND_US, side="right")
     return float((sums[1:] - sums[first]).max())

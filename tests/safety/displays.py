@@ -1,4 +1,4 @@
-"""Displays to attack: every shipped profile, and some in which another limit binds first."""
+"""Profiles for the attacks: all shipped ones, and variants that reach other limits first."""
 
 from functools import cache
 
@@ -30,11 +30,11 @@ CHANGED = {
     }),
     "short session": ("line-8", {"limits.session_s": 61.5, "limits.session_mc": 0.5}),
 }  # fmt: skip
-"""Of which shipped profile each is a change, and of which keys."""
+"""Variants by name: the shipped profile, and the keys that differ, with their values."""
 
 
 def changed(profile, keys):
-    """Return a profile that differs from one in keys such as ``skin.medium``."""
+    """Return a copy of a profile with other values of keys such as ``skin.medium``."""
     table = profile.model_dump()
     for key, value in keys.items():
         *tables, last = key.split(".")
@@ -47,11 +47,11 @@ def changed(profile, keys):
 
 @cache
 def display(name):
-    """Return a shipped profile, or a changed one by its name in `CHANGED`."""
+    """Return the shipped profile, or the variant in `CHANGED`, with this name."""
     usual, keys = CHANGED.get(name, (name, {}))
     return changed(load_profile(usual), keys)
 
 
 def display_names():
-    """Return the names of all displays."""
+    """Return the names of all shipped profiles and variants."""
     return [*list_profiles(), *CHANGED]

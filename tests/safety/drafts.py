@@ -1,4 +1,4 @@
-"""Ordinary sequences, drawn quickly: what an attack starts from."""
+"""Random sequences that keep most limits, from which attacks start."""
 
 import math
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ from .bounds import LATE_NS, NS, TIMES_ITS_SHARE, WHOLE, exact
 
 @dataclass
 class Draft:
-    """A sequence that can still be changed, and when it is to be sent.
+    """Sequence that attacks can modify, with the clock time of sending and the number of passes.
 
-    Arrays are wider than a sequence's, so that a change may leave the range; it then wraps.
+    Its arrays have 64 bits, so that a modification can leave the range; `made` wraps the value.
     """
 
     current_ua: np.ndarray
@@ -40,7 +40,7 @@ class Draft:
         return int(self.width_us.sum() + self.discharge_us.sum()) + self.recharge_us
 
     def made(self, **other):
-        """Return the sequence, some of its fields replaced."""
+        """Return the sequence, with the fields in ``other`` replaced."""
         values = {
             "current_ua": self.current_ua.astype(np.int16),
             "width_us": self.width_us.astype(np.uint16),
@@ -52,14 +52,14 @@ class Draft:
         return ScanSequence(**values | other)
 
     def resize(self, slots):
-        """Give it so many silent slots, as long as its longest ones are short."""
+        """Replace the slots by a number of short slots without current."""
         self.current_ua = np.zeros((slots, self.current_ua.shape[1]), np.int64)
         self.width_us = np.full(slots, 50)
         self.discharge_us = np.full(slots, 20)
         self.site = np.zeros(slots, np.int64)
 
     def drive(self, slots, site, level_ua, rng):
-        """Let one electrode be driven in some slots, all others its return."""
+        """Drive one electrode in some slots, in a random polarity, against all others."""
         others = self.current_ua.shape[1] - 1
         row = np.full(others + 1, -(level_ua // others))
         row[np.delete(np.arange(others + 1), site)[: level_ua % others]] -= 1
@@ -68,7 +68,7 @@ class Draft:
         self.current_ua[slots] = row if rng.random() < 0.5 else -row
 
     def fit(self, bounds, spare_us=0):
-        """Give it the shortest period that its slots, the rate and the duty allow, and more."""
+        """Set the period to the minimum by slots, rate and duty, plus ``spare_us``."""
         self.period_us = spare_us + max(
             math.ceil(10**6 / bounds.rate_hz),
             math.ceil(int(self.width_us.sum()) / bounds.duty),
@@ -77,7 +77,7 @@ class Draft:
 
 
 def intensity_of(ppb):
-    """Return a float of so many parts per billion, rounded up."""
+    """Return the intensity that equals ``ppb`` when it is converted to ppb and rounded up."""
     value = max(0, min(ppb, WHOLE)) / WHOLE
     while value and math.ceil(exact(value) * WHOLE) > ppb:
         value = math.nextafter(value, 0)
@@ -85,14 +85,14 @@ def intensity_of(ppb):
 
 
 def level_at(bounds, intensity):
-    """Return the largest current that an intensity allows, without what rounding may add."""
+    """Return the largest current at an intensity, µA, without the tolerance for rounding."""
     return math.floor(exact(intensity) * bounds.full_ua)
 
 
 def ordinary(oracle, rng, clock_ns, time_ns, full=False):
-    """Draw a sequence that keeps most limits, for some time of clock and claim.
+    """Draw a sequence that keeps most limits.
 
-    It is as intense as it may be most of the time, and always if ``full``.
+    Usually, and always if ``full``, its intensity is the largest that the ramp allows.
     """
     bounds = oracle.bounds
     most = min(oracle.most(clock_ns), WHOLE)
@@ -119,7 +119,7 @@ def ordinary(oracle, rng, clock_ns, time_ns, full=False):
 
 
 def opening(oracle, clock_ns, time_ns):
-    """Return the weakest pulse that opens as much as may be opened at once, in `LATE_NS`."""
+    """Return the weakest pulse that raises the ramp's level as fast as possible for `LATE_NS`."""
     bounds = oracle.bounds
     row = np.zeros((1, bounds.electrodes), np.int64)
     able = [site for site, most in enumerate(bounds.electrode_ua) if most]
@@ -135,7 +135,7 @@ def opening(oracle, clock_ns, time_ns):
 
 
 def later(oracle, rng):
-    """Return by how much clock and claimed time move on: mostly alike, and sometimes far."""
+    """Draw how far the clock and the stated time advance, ns: usually equal, sometimes not."""
     if oracle.most(oracle.clock_ns or 0) < WHOLE and rng.random() < 0.3:
         return oracle.bounds.ramp_ns, oracle.bounds.ramp_ns
     step = rng.choice(

@@ -1,4 +1,4 @@
-"""Attacks at the very edge of each limit: just inside it, on it, and just beyond."""
+"""Attacks on each limit, with sequences just inside it, exactly at it, and just beyond it."""
 
 import math
 from fractions import Fraction
@@ -19,11 +19,11 @@ from .bounds import (
 from .drafts import intensity_of, level_at
 
 MOST_SLOTS = 130
-"""More are never needed at an edge, and take long to judge."""
+"""Largest number of slots of an attack. No attack needs more, and judging more takes long."""
 
 
 def _site(draft, bounds, rng):
-    """Make it one silent slot; return an electrode."""
+    """Replace all slots by a single one without current; return a random electrode."""
     draft.resize(1)
     return rng.randrange(bounds.electrodes)
 
@@ -82,7 +82,7 @@ def total(draft, oracle, rng, beyond):
     row = draft.current_ua[0]
     each = math.ceil(wanted / level)
     if 2 * each > len(row):
-        # Too few of them: what is asked for is more than the array can carry.
+        # The array has too few electrodes for this level: use all, with a higher current.
         each, level = len(row) // 2, math.ceil(2 * wanted / len(row))
     for pole, first in ((1, 0), (-1, each)):
         row[first : first + each] = pole * (wanted // each)
@@ -126,7 +126,7 @@ def strong_pulses(draft, oracle, rng, beyond):
 
 
 def _strong(draft, oracle, site, count, rng):
-    """Give one electrode so many pulses that are just strong, or just not."""
+    """Drive one electrode with pulses of its smallest perceptible current, or 1 µA less."""
     level = oracle.bounds.strong_ua[site] - (rng.random() < 0.2)
     draft.resize(min(count, MOST_SLOTS))
     draft.drive(slice(None), site, level, rng)
@@ -143,9 +143,9 @@ def mean_current(draft, oracle, rng, beyond):
 
 
 def _charged(draft, oracle, site, charge_pc, rng, sign=None):
-    """Let a charge pass one electrode, in pulses as large as may be and the last ones smaller.
+    """Pass a charge through one electrode, in pulses of the largest charge and smaller last ones.
 
-    Of one sign, or of both in turn if not given.
+    The net charge has the sign ``sign``; without ``sign``, pulses alternate.
     """
     bounds = oracle.bounds
     level = max(1, min(level_at(bounds, draft.intensity), bounds.electrode_ua[site]))
@@ -182,7 +182,7 @@ def recharge(draft, oracle, rng, beyond):
     phase[sites] = [level, -level]
     draft.recharge_us = rng.randint(1, min(RECHARGE_US, RECHARGE_PC // level))
     if len(sites) == 2 and rng.random() < 0.9:
-        # Charge to take back: a slot through the same two, as strong as may be.
+        # Add the strongest slot through these electrodes, so that the phase has charge to return.
         draft.resize(1)
         most = min(
             level_at(bounds, draft.intensity), *(bounds.electrode_ua[each] for each in sites)
@@ -191,9 +191,9 @@ def recharge(draft, oracle, rng, beyond):
         draft.width_us[0] = max(1, min(bounds.pulse_us, bounds.charge_pc // max(1, most)))
         q_pc = int(most * draft.width_us[0])
         carried = oracle.carried(draft.clock_ns)
-        room_pc = min(q_pc - int(carried[sites[0]]), q_pc + int(carried[sites[1]]))
-        level = max(1, min(level, room_pc))
-        draft.recharge_us = max(1, min(RECHARGE_US, room_pc // level))
+        most_pc = min(q_pc - int(carried[sites[0]]), q_pc + int(carried[sites[1]]))
+        level = max(1, min(level, most_pc))
+        draft.recharge_us = max(1, min(RECHARGE_US, most_pc // level))
         phase[sites] = [level, -level]
     attack = rng.randrange(8)
     if attack == 0:
@@ -220,7 +220,7 @@ def time(draft, oracle, rng, beyond):
 
 
 def _weak(draft, oracle, rng):
-    """Make it one slot of a microampere."""
+    """Replace all slots by a single one of 1 µA and 1 µs."""
     draft.resize(1)
     able = [site for site, most in enumerate(oracle.bounds.electrode_ua) if most]
     draft.current_ua[0, rng.sample(able, 2)] = 1, -1
@@ -229,8 +229,8 @@ def _weak(draft, oracle, rng):
     draft.fit(oracle.bounds, rng.choice((0, 20_000, 200_000)))
 
 
-def _amounting(draft, oracle, rng, most, beyond):
-    """Make it one slot that is as strong as may be: by what it claims, or by its charge."""
+def _of_strength(draft, oracle, rng, most, beyond):
+    """Replace all slots by a single one of strength ``most``, set by intensity or by charge."""
     bounds = oracle.bounds
     _weak(draft, oracle, rng)
     whole_pc = bounds.full_pc * most / (TIMES_ITS_SHARE * WHOLE)
@@ -245,19 +245,19 @@ def _amounting(draft, oracle, rng, most, beyond):
     draft.fit(bounds, rng.choice((0, 20_000, 200_000)))
 
 
-def rise(draft, oracle, rng, beyond):
-    _amounting(draft, oracle, rng, oracle.most(draft.clock_ns), beyond)
+def ramp(draft, oracle, rng, beyond):
+    _of_strength(draft, oracle, rng, oracle.most(draft.clock_ns), beyond)
 
 
 def strength(draft, oracle, rng, beyond):
-    """What weak current claims to have opened, and a microampere that claims to open all."""
+    """Claim full intensity with 1 µA, or more strength than earlier weak current allows."""
     most = oracle.most(draft.clock_ns)
     if most < WHOLE and rng.random() < 0.5:
         _weak(draft, oracle, rng)
         draft.intensity = 1.0
         draft.period_us = max(draft.period_us, rng.choice((0, oracle.bounds.ramp_ns // 1000)))
     else:
-        _amounting(draft, oracle, rng, most + rng.choice((0, 0, WHOLE // 10)), beyond)
+        _of_strength(draft, oracle, rng, most + rng.choice((0, 0, WHOLE // 10)), beyond)
 
 
 def strong_in_a_second(draft, oracle, rng, beyond):
@@ -302,7 +302,7 @@ def session_time(draft, oracle, rng, beyond):
 def session_charge(draft, oracle, rng, beyond):
     bounds = oracle.bounds
     if rng.random() < 0.7:
-        # Of both signs, and slowly enough that no other limit ends it.
+        # Alternate signs, and repeat slowly, so that no other limit binds first.
         _charged(draft, oracle, rng.randrange(bounds.electrodes), 2 * bounds.charge_pc, rng)
         draft.period_us = max(20_000, draft.period_us)
     if not draft.slots:
@@ -318,20 +318,20 @@ EDGES = {
     "rate": rate, "period": period, "duty": duty, "balance": balance, "width": width,
     "current": current, "total": total, "charge": charge, "discharge": discharge,
     "intensity": intensity, "strong pulses": strong_pulses, "mean current": mean_current,
-    "vibration": vibration, "recharge": recharge, "time": time, "rise": rise,
+    "vibration": vibration, "recharge": recharge, "time": time, "ramp": ramp,
     "strength": strength, "strong in a second": strong_in_a_second,
     "mean in a second": mean_in_a_second, "net in a second": net_in_a_second,
-    "sequences in a second": sequences_in_a_second, "takes back": recharge,
+    "sequences in a second": sequences_in_a_second, "reduces charge": recharge,
     "session time": session_time, "session charge": session_charge,
 }  # fmt: skip
-"""An attack on each limit; the last argument is −1, 0 or 1: inside, at the edge, beyond."""
+"""Attack functions by rule. The last argument is −1, 0 or 1: inside, at or beyond the limit."""
 
 
 @cache
 def attacks(bounds):
-    """Return the names of attacks on a display: more often on limits that bind on few of them."""
+    """Return the names of attacks for a display, repeated for limits that few displays reach."""
     full_ua = bounds.full_ua + bounds.rounding_ua
     often = ["current"] * (min(bounds.electrode_ua) < full_ua)
     often += ["charge"] * (full_ua * bounds.pulse_us > bounds.charge_pc)
-    rises = ("rise", *("strength",) * 3)
-    return (*EDGES, *rises, *("mean current", "total") * 2, *often * 12)
+    ramps = ("ramp", *("strength",) * 3)
+    return (*EDGES, *ramps, *("mean current", "total") * 2, *often * 12)

@@ -1,4 +1,4 @@
-"""Fields of wrong types, sizes and ranges, and right ones that look odd."""
+"""Field values of wrong types, sizes and ranges, and unusual values that are valid."""
 
 import math
 from decimal import Decimal
@@ -18,7 +18,7 @@ NUMBERS = (
     np.longdouble(1) + np.finfo(np.longdouble).eps, np.float32(1) + np.finfo(np.float32).eps,
     1 + 2**-52, np.array(20_000), np.array([20_000]), np.array(0.5), np.datetime64(1, "ns"),
 )  # fmt: skip
-"""What a number may be replaced with."""
+"""Replacements for a number."""
 
 
 KINDS = (
@@ -29,7 +29,7 @@ NO_ARRAYS = (None, 0, "array", (), b"", [0, 0])
 
 
 def _at_an_end(array, rng):
-    """Return an array with one number at an end of its type."""
+    """Return a copy of an array with one extreme value of its type."""
     array = array.copy()
     if array.size:
         kind = array.dtype
@@ -52,18 +52,18 @@ CHANGES = (
     # Other types.
     lambda array, rng: array.astype(rng.choice(KINDS)),
     lambda array, rng: rng.choice((*NO_ARRAYS, array.tolist(), array.data)),
-    # Other numbers.
+    # Other values.
     *(_at_an_end,) * 4,
-    # The same numbers in another layout.
+    # Equal values in another memory layout.
     lambda array, _: np.asfortranarray(array),
     lambda array, _: np.repeat(array, 2, axis=0)[::2],
     lambda array, _: np.flip(np.flip(array, 0).copy(), 0),
 )
-"""What an array may be replaced with."""
+"""Functions that return a replacement for an array."""
 
 
 def garbled(draft, rng):
-    """Return a sequence with one or two fields replaced."""
+    """Return the sequence of a draft with one or two fields replaced."""
     sequence = draft.made()
     changes = {}
     for _ in range(rng.choice((1, 1, 2))):

@@ -1,4 +1,4 @@
-"""The gate under test, and what is wrong with its copies."""
+"""Safety gate under test, and a check of the copies that it returns."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ _ARRAYS = ("current_ua", "width_us", "discharge_us", "site", "vibration", "recha
 
 @dataclass
 class ManualClock:
-    """A clock that stands where it is put."""
+    """Clock whose time a test sets."""
 
     time_ns: int = 0
 
@@ -24,7 +24,7 @@ class ManualClock:
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer of a gate: its copy or nothing, the limit that it named, and no error but its own."""
+    """Answer of a gate: its frozen copy, the limit of its refusal, or the text of another error."""
 
     accepted: bool
     copy: ScanSequence | None = None
@@ -33,33 +33,33 @@ class Answer:
 
 
 class GateUnderTest:
-    """A safety gate with a clock that the test sets."""
+    """Safety gate with a clock that the test sets."""
 
     def __init__(self, profile):
         self.clock = ManualClock()
         self._gate = SafetyGate(SafetyLimits.of(profile), self.clock)
 
     def ask(self, sequence, clock_ns, times=1, written=True):
-        """Return what the gate says of a sequence at a time of its clock, and whether it permits
-        what it proved; it is written then, unless a newer one replaces it.
-        """
+        """Let the gate prove a sequence when its clock is at ``clock_ns``, and return the answer.
+
+        If ``written``, the gate records that the accepted sequence was written."""
         self.clock.time_ns = clock_ns
         try:
             proved = self._gate.prove(sequence, times)
             if not self._gate.ramp.permits(proved.strength_ppb, proved.sequence.time_ns):
-                return Answer(False, crash="what was proved is not permitted")
+                return Answer(False, crash="the ramp does not permit the proved sequence")
             if written:
                 self._gate.note(proved)
             return Answer(True, proved.sequence)
         except SafetyError as error:
             return Answer(False, limit=error.limit)
         except Exception as error:
-            # A gate that breaks lets nothing through, yet owes one clear sentence.
+            # Report other errors, because refusals must be a SafetyError with a clear message.
             return Answer(False, crash=f"{type(error).__name__}: {error}"[:80])
 
 
 def faults_of_copy(copy, sequence):
-    """Return the fields of a gate's copy of other types or numbers, or that can be written."""
+    """Return the fields of a gate's copy that are writable or differ in type or value."""
     faults = [
         name
         for name, kind in _NUMBERS.items()
@@ -74,7 +74,7 @@ def faults_of_copy(copy, sequence):
 
 
 def _is_frozen_copy(ours, theirs):
-    """Return whether an array has the numbers of another, and nobody can make it writable."""
+    """Return whether an array equals the original and cannot be made writable."""
     if type(ours) is not np.ndarray or ours.dtype != theirs.dtype or ours.flags.writeable:
         return False
     try:

@@ -1,6 +1,6 @@
-"""The judge of a display's sequences: by itself, and from one to the next.
+"""Oracle, which proves the sequences of a display a second time.
 
-It shares no line with what proves sequences safe, so that each finds the other's mistakes.
+It shares no code with the safety gate, so that each reveals mistakes of the other.
 """
 
 from dataclasses import dataclass
@@ -21,16 +21,16 @@ from .bounds import (
 from .quick import RULES, judge_alone
 
 AMONG = (
-    "time", "rise", "takes back", "sequences in a second",
+    "time", "ramp", "reduces charge", "sequences in a second",
     "strong in a second", "mean in a second", "net in a second", "session time", "session charge",
 )  # fmt: skip
-"""The limits from one sequence to the next, by name."""
+"""Names of the rules that depend on earlier sequences."""
 NAMES = ("types", "range", *RULES, *AMONG)
 
 
 @dataclass
 class Pass:
-    """One pass, from its start to the end of its slots and its recharge phase."""
+    """Pass of a sequence, from its start to the end of its slots and its recharge phase."""
 
     start_ns: int
     end_ns: int
@@ -41,7 +41,7 @@ class Pass:
 
 @dataclass
 class Sent:
-    """A sequence that was accepted, with its repetitions: the first begins at ``start_ns``."""
+    """Accepted sequence with its repetitions; the first pass begins at ``start_ns``."""
 
     start_ns: int
     period_us: int
@@ -49,12 +49,12 @@ class Sent:
     alone: object
 
     def begun(self, clock_ns):
-        """Return how many passes have begun by a time; the first will, whatever comes."""
+        """Return how many passes have begun by a time, at least 1: the first cannot be canceled."""
         later = (clock_ns - self.start_ns) // (1000 * self.period_us)
         return max(1, min(self.times, 1 + later))
 
     def passes(self, first, stop):
-        """Return its passes from one to before another."""
+        """Return the passes from index ``first`` to before ``stop``."""
         alone, made = self.alone, []
         net_pc = alone.slots_pc + alone.recharge_pc
         for index in range(first, stop):
@@ -65,9 +65,9 @@ class Sent:
 
 
 class Level:
-    """How far a rise has been opened by current, on one clock, in parts per billion.
+    """Level of the ramp, in parts per billion, on one clock.
 
-    Not by its time alone: no further than what flowed was strong.
+    The level rises only while current flows, and at most to the strength of the sent sequence.
     """
 
     def __init__(self, bounds):
@@ -75,12 +75,12 @@ class Level:
         self.close()
 
     def close(self):
-        """Back to zero, as nothing had ever flowed."""
+        """Reset the level to zero, as before any current."""
         self._ppb, self._strong_ppb, self._from_ns, self._current_ns = 0, 0, None, 0
         self.begun = False
 
     def at(self, time_ns):
-        """Return what is open at a time."""
+        """Return the level at a time."""
         if self._from_ns is None or time_ns - self._from_ns > self._current_ns + LEVEL_KEPT_NS:
             return 0
         counted_ns = min(max(time_ns - self._from_ns, 0), self._current_ns)
@@ -88,20 +88,20 @@ class Level:
         return by_time if by_time < self._strong_ppb else max(self._ppb, self._strong_ppb)
 
     def most(self, time_ns):
-        """Return the greatest strength with which current may begin at a time; the first sequence
-        has none."""
+        """Return the largest strength with which a sequence may begin at a time. The first sequence
+        may only have the tolerance for rounding errors."""
         if not self.begun:
             return FREE_RISE
         return self.at(time_ns) + FREE_RISE + self._bounds.late_rise
 
     def sent(self, ppb, strong_ppb, time_ns, current_ns):
-        """Enter passes with so much time of current, or none, that are written at a time."""
+        """Record a sequence written at ``time_ns``; current flows during ``current_ns``."""
         if self._from_ns is None and not current_ns:
             return
         ahead_ns = 0
         if self._from_ns is not None:
             passed_ns = max(time_ns - self._from_ns, 0)
-            # What it goes on for: it is cut short, but for what may wait its turn.
+            # The board finishes its running pass, counted up to `LATE_NS`, and drops repetitions.
             ahead_ns = min(max(self._current_ns - passed_ns, 0), LATE_NS)
         if current_ns:
             self._ppb, self._strong_ppb = min(ppb, self.at(time_ns)), strong_ppb
@@ -111,10 +111,10 @@ class Level:
 
 
 class Oracle:
-    """Judges what is sent to one display, from its opening to its closing.
+    """Check of all sequences for one display, from its opening to its closing.
 
-    Each sequence is judged alone and after the last accepted, whose claimed time and clock are
-    ``time_ns`` and ``clock_ns``.
+    ``time_ns`` is the time stated in the last accepted sequence. ``clock_ns`` is the time of the
+    display's clock when that sequence was sent.
     """
 
     def __init__(self, profile):
@@ -126,20 +126,20 @@ class Oracle:
         self.restart()
 
     def restart(self, clock_ns=0):
-        """Begin again at zero, as when a board has restarted; the session's dose stays."""
+        """Restart at zero, as after a restart of the board; the dose of the session remains."""
         if self._last is not None:
             self._spent = self._spent_by(max(clock_ns, self.clock_ns))
             self._last = None
         self._passes = []
         self.time_ns = self.clock_ns = None
         self.newest = None
-        """Of the newest sequence that breaks nothing: intensity, strength, and time of current."""
+        """Intensity, strength and time of current of the newest sequence that broke no rule."""
         self._level.close()
 
     def judge(self, sequence, clock_ns, times=1, written=True):
-        """Return the names of all rules that a sequence, sent so many times, breaks at the
-        display's clock; one that breaks nothing counts as sent, and as written at once if
-        ``written``, else by `wrote`.
+        """Return the names of all rules that a sequence with ``times`` passes breaks if it is sent
+        at ``clock_ns``. A sequence that breaks no rule counts as sent. It also counts as written
+        if ``written``; otherwise call `wrote` when it is written.
         """
         alone = judge_alone(sequence, self.bounds)
         if isinstance(times, bool) or not isinstance(times, int | np.integer):
@@ -153,8 +153,8 @@ class Oracle:
         strong_ppb = self.bounds.strength_ppb(alone.intensity_ppb, alone.peak_pc)
         kept = {
             "time": self.time_ns is None or alone.time_ns > self.time_ns,
-            "rise": alone.peak_pc == 0 or strong_ppb <= self.most(clock_ns),
-            "takes back": self._takes_back(alone, carried_pc, times),
+            "ramp": alone.peak_pc == 0 or strong_ppb <= self.most(clock_ns),
+            "reduces charge": self._reduces_net_charge(alone, carried_pc, times),
             "sequences in a second": 1 + sum(each.start_ns > clock_ns - NS for each in known)
             <= self.bounds.most_passes,
             **self._seconds(new, known, clock_ns),
@@ -176,17 +176,17 @@ class Oracle:
         return broken
 
     def wrote(self, sent, clock_ns):
-        """Enter that a sequence is written: what was replaced never is, and opens nothing."""
+        """Record that the sequence with this value of `newest` was written, to raise the level."""
         clock_ns = max(clock_ns, self.clock_ns or 0)
         ppb, strong_ppb, current_ns = sent
         self._level.sent(ppb, strong_ppb, clock_ns, current_ns)
 
     def most(self, clock_ns):
-        """Return the greatest strength with which current may begin, in parts per billion."""
+        """Return the largest strength with which a sequence may begin, in parts per billion."""
         return self._level.most(clock_ns)
 
     def passes_by(self, clock_ns):
-        """Return all passes of which any part lies in the second before a time, or after it."""
+        """Return all passes that end later than one second before ``clock_ns``."""
         passes = list(self._passes)
         if self._last is not None:
             begun = self._last.begun(clock_ns)
@@ -195,11 +195,11 @@ class Oracle:
         return [each for each in passes if each.end_ns > clock_ns - NS]
 
     def in_the_second_before(self, clock_ns):
-        """Return each electrode's strong pulses and charge in the second before a time."""
+        """Return, by electrode, perceptible pulses and charge, pC, in the second before a time."""
         return self._sums(self.passes_by(clock_ns))
 
     def most_net_before(self, clock_ns):
-        """Return the highest and lowest net charge of each electrode in the newest passes."""
+        """Return the highest and lowest net charge, pC, of any number of the latest passes."""
         high = low = sums = np.zeros(self.bounds.electrodes, np.int64)
         for each in reversed(self.passes_by(clock_ns)):
             sums = sums + each.net_pc
@@ -207,12 +207,12 @@ class Oracle:
         return high, low
 
     def session_left(self, clock_ns):
-        """Return the time with current, µs, and each electrode's charge, pC, that are left."""
+        """Return the time, µs, and the charge of electrodes, pC, that the session still allows."""
         spent_us, spent_pc, _ = self._spent_by(clock_ns)
         return self.bounds.session_us - spent_us, self.bounds.session_pc - spent_pc
 
     def carried(self, clock_ns):
-        """Return the net charge that each electrode carries, pC."""
+        """Return the net charge of each electrode in the session, pC."""
         return self._spent_by(clock_ns)[2]
 
     def _sums(self, passes):
@@ -223,14 +223,14 @@ class Oracle:
         )
 
     def _free_from(self, clock_ns):
-        """Return when a pass can begin: the one that runs is finished first."""
+        """Return the earliest start of a new sequence: after the running pass."""
         if self._last is None:
             return clock_ns
         over_ns = self._last.start_ns + 1000 * self._last.begun(clock_ns) * self._last.period_us
         return max(clock_ns, over_ns)
 
-    def _takes_back(self, alone, carried_pc, times):
-        """Whether the recharge phases of all passes bring charge back and do nothing else."""
+    def _reduces_net_charge(self, alone, carried_pc, times):
+        """Return whether all recharge phases only reduce the net charge of each electrode."""
         if not np.any(alone.recharge_pc):
             return True
         net_pc = alone.slots_pc + alone.recharge_pc
@@ -243,9 +243,9 @@ class Oracle:
         return True
 
     def _seconds(self, new, known, clock_ns):
-        """Return whether any second keeps its limits with the new passes among the known ones.
+        """Return, for each rule over a second, whether all seconds with new passes keep it.
 
-        Passes beyond the time at which the first has left the second bring nothing new.
+        After the first new pass has left the second, sums do not grow, so the check ends there.
         """
         alone = new.alone
         net_pc = alone.slots_pc + alone.recharge_pc
@@ -271,7 +271,7 @@ class Oracle:
         return keeps
 
     def _spent_by(self, clock_ns):
-        """Return the session's time, charge and net charge, with repetitions begun by a time."""
+        """Return time, charge and net charge of the session, with all passes begun by a time."""
         if self._last is None:
             return self._spent
         spent_us, spent_pc, net_pc = self._spent

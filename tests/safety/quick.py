@@ -1,4 +1,4 @@
-"""The limits of a single sequence, judged in whole numbers on whole arrays."""
+"""Integer checks of the limits of a single sequence."""
 
 import math
 from dataclasses import dataclass
@@ -24,20 +24,20 @@ ARRAYS = {
     "current_ua": ("int16", "SE"), "width_us": ("uint16", "S"), "discharge_us": ("uint16", "S"),
     "site": ("uint16", "S"), "vibration": ("float32", "E"), "recharge_ua": ("int16", "E"),
 }  # fmt: skip
-"""Type and axes of every array: slots and electrodes."""
+"""Type and axes of each array: S slots, E electrodes."""
 RULES = (
     "rate", "period", "duty", "balance", "width", "current", "total", "charge", "discharge",
     "intensity", "strong pulses", "mean current", "vibration", "recharge",
 )  # fmt: skip
-"""The limits of a single sequence, by name."""
+"""Names of the rules for a single sequence."""
 
 
 @dataclass(frozen=True)
 class Judged:
-    """Broken rules of a single sequence, and its dose for each electrode if it may be sent.
+    """Rules that a single sequence breaks, and the load of one pass on each electrode.
 
-    ``intensity_ppb`` is the intensity in parts per billion, rounded up; arrays are (E,) of int64.
-    """
+    ``intensity_ppb`` is in parts per billion, rounded up. Arrays are (E,) int64; they are None if a
+    type or a range is wrong."""
 
     broken: list
     intensity_ppb: int = 0
@@ -53,7 +53,7 @@ class Judged:
 
 
 def judge_alone(sequence, bounds):
-    """Return what a sequence breaks by itself, with the names of all rules that it breaks."""
+    """Judge a sequence without regard to other sequences."""
     if wrong := _wrong_types(sequence, bounds):
         return Judged(wrong)
     most_ua, strong_ua, recharge_most_ua = _limits(bounds)
@@ -108,7 +108,7 @@ def judge_alone(sequence, bounds):
 
 
 def _wrong_types(sequence, bounds):
-    """Return "types" or "range" if a sequence cannot be judged further, else nothing."""
+    """Return ["types"] or ["range"] if further rules cannot be checked, otherwise []."""
     whole = [sequence.period_us, sequence.time_ns, sequence.recharge_us]
     if not all(map(_is_whole, whole)) or not _is_real(sequence.intensity):
         return ["types"]
@@ -134,7 +134,7 @@ def _wrong_types(sequence, bounds):
 
 @cache
 def _limits(bounds):
-    """Return the limits of each electrode as arrays: current, strong pulse, recharge."""
+    """Return limits as arrays, (E,) µA: current, smallest perceptible current, recharge current."""
     never = np.iinfo(np.int64).max
     each = (bounds.electrode_ua, bounds.strong_ua, bounds.recharge_ua)
     return [
@@ -147,7 +147,7 @@ def _keeps_vibration(vibration, intensity):
     if vibration is None:
         return True
     least, most = float(vibration.min()), float(vibration.max())
-    # Where one is no number, so are both.
+    # If a value is NaN, minimum and maximum are NaN, and comparisons are false.
     return least >= 0 and math.isfinite(most) and exact(most) <= intensity + Fraction(1, 10**6)
 
 
@@ -160,7 +160,7 @@ def _is_real(value):
 
 
 def _is_share(value):
-    """Return whether a number, read as a float, lies from 0 to 1."""
+    """Return whether a number, converted to float, is in [0, 1]."""
     try:
         return 0 <= float(value) <= 1
     except OverflowError:

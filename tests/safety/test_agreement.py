@@ -1,6 +1,6 @@
-"""Gate and oracle agree on every sequence; the attack finds every gap, and is always the same.
+"""Gate and oracle agree on random sequences, and the comparison finds faulty gates.
 
-For a million of them ``python -m tests.safety.agreement 1000000 --jobs 2`` prints the table.
+``python -m tests.safety.agreement 1000000 --jobs 2`` compares a million sequences.
 """
 
 import pytest
@@ -12,7 +12,7 @@ from .oracle import Oracle
 
 SEQUENCES = 9000 if WHOLE else 3500
 FIRST = 300
-"""From this seed on each rule is soon the only one broken."""
+"""First seed, from which few streams suffice to break each rule alone."""
 
 
 @pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
@@ -25,7 +25,7 @@ def test_gate_and_oracle_agree():
 
 
 class Careless:
-    """A gate that overlooks one rule; it counts what it overlooked as sent."""
+    """Gate that ignores the rule ``overlooks``."""
 
     overlooks = None
 
@@ -38,7 +38,7 @@ class Careless:
 
 
 class Strict(Careless):
-    """A gate that refuses what is full."""
+    """Gate that also refuses sequences of full intensity."""
 
     def ask(self, sequence, clock_ns, times=1, written=True):
         answer = super().ask(sequence, clock_ns, times, written)
@@ -47,7 +47,7 @@ class Strict(Careless):
 
 
 class Crashing(Careless):
-    """A gate that falls over what it refuses."""
+    """Gate that fails with a TypeError instead of refusing."""
 
     def ask(self, sequence, clock_ns, times=1, written=True):
         answer = super().ask(sequence, clock_ns, times, written)
@@ -70,7 +70,7 @@ def test_it_finds_what_a_gate_refuses_without_need_or_by_an_error(kind, fault):
 
 
 def test_a_stream_ends_where_they_disagree():
-    """From there on they would speak of different pasts."""
+    """After a disagreement, gate and oracle would count different sequences as sent."""
     tally = Tally()
     stream("line-7", 0, tally, Strict)
     assert tally.faults.total() == 1

@@ -1,4 +1,4 @@
-"""Delivered current is judged pulse by pulse, second by second, and from the start."""
+"""`judge_pulses` checks each delivered pulse, and sums over each second."""
 
 from dataclasses import replace
 
@@ -18,12 +18,12 @@ MS = 1000
 
 @pytest.fixture
 def judges_books():
-    """These books are of what no gate has proved."""
+    """Exempt the delivery logs of these tests, as no gate has proved their pulses."""
     return False
 
 
 def pulses(rows, *, width=100, every_us=10 * MS, first_us=10**6, **other):
-    """So many pulses, one after another."""
+    """Return a pulse for each row of currents, µA, at equal intervals."""
     current = np.array(rows, np.float64).reshape(-1, 4)
     time_us = first_us + every_us * np.arange(len(current))
     return Pulses(current, current * width, time_us=time_us, **other)
@@ -32,7 +32,7 @@ def pulses(rows, *, width=100, every_us=10 * MS, first_us=10**6, **other):
 ALIKE = replace(FULL, electrode_ua=(3000,) * 4)
 INSIDE_AND_OUTSIDE = [
     ("current", pulses([3000, -3000, 0, 0]), pulses([3001, -3001, 0, 0])),
-    # One that shares its pole with others may carry more.
+    # An electrode that shares its polarity with others may carry more.
     ("current", pulses([3400, 100, -2000, -1500]), pulses([3500, 0, -2000, -1500])),
     ("total", pulses([1750, 1750, -1750, -1750]), pulses([1760, 1760, -1760, -1760])),
     ("charge", pulses([2000, -2000, 0, 0], width=200), pulses([2001, -2001, 0, 0], width=200)),
@@ -43,7 +43,7 @@ INSIDE_AND_OUTSIDE = [
     ("mean in a second", pulses([[2000, -2000, 0, 0]] * 1499, every_us=500, width=190), pulses(
         [[2000, -2000, 0, 0]] * 1501, every_us=500, width=190)),
 ]  # fmt: skip
-"""Each rule, what just keeps it, and what just does not."""
+"""Rules, each with pulses that just keep it and pulses that just break it."""
 
 
 @pytest.mark.parametrize(("rule", "inside", "outside"), INSIDE_AND_OUTSIDE)
@@ -53,7 +53,7 @@ def test_pulses(rule, inside, outside):
 
 
 def test_books_of_a_kit(tmp_path):
-    """The firmware by itself: what is within the profile's limits, and what is not."""
+    """Up to 128 steps of current keep the limits of the profile; 129 steps do not."""
     books = DeliveryLog(61, tmp_path)
     board = Kajimoto61Firmware(books)
     bounds = Bounds.of(display("kajimoto-61"))

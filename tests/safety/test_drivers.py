@@ -1,4 +1,4 @@
-"""Drivers that try to send what the gate has not proved, or after a stop: the line refuses it."""
+"""Drivers can neither send sequences that the gate has not proved, nor current after a stop."""
 
 import dataclasses
 import threading
@@ -16,7 +16,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..support.checks import raises
 
-LATE_NS = 60 * 10**9  # nothing is late, however long the computer pauses
+LATE_NS = 60 * 10**9  # longer than any pause of the computer, so that no sequence is late
 
 
 def allowed():
@@ -24,7 +24,7 @@ def allowed():
 
 
 class Theirs(Driver):
-    """A driver of another package, with what it does in `write`."""
+    """Driver of another package, which calls ``act`` in `write`."""
 
     def __init__(self, act=lambda driver, proved: None):
         self.act, self.flows, self.zeros, self.proved = act, [], 0, []
@@ -72,7 +72,7 @@ def test_only_the_gate_makes_what_can_be_sent():
 
 
 def look_alike(proved):
-    """Return what has all that a proved sequence has, around a stronger one."""
+    """Return an object with the fields of a proved sequence, but with a stronger sequence."""
     names = [field.name for field in dataclasses.fields(proved)]
     fields = {name: getattr(proved, name) for name in names}
     return SimpleNamespace(**fields | {"sequence": sequence(1, 5000)})
@@ -103,7 +103,7 @@ def test_limits_that_a_driver_widens_are_its_own():
 
 
 def test_no_driver_gets_more_than_its_board_can_make():
-    """Its counts, of a byte perhaps, would be those of another current."""
+    """A current above the board's range, one byte for example, could wrap to another current."""
     driver = Theirs()
     driver.most_ma = 0.2
     with board_of(driver) as board:
@@ -116,7 +116,7 @@ def test_no_driver_gets_more_than_its_board_can_make():
 
 @pytest.mark.parametrize("thread", [False, True])
 def test_after_a_stop_only_zero_is_written(thread):
-    """Also where a driver sends on from another thread, or what was proved before."""
+    """After a stop, current is refused from all threads, and for sequences proved before it."""
     raised = []
 
     def send_on(driver):
@@ -142,7 +142,7 @@ def test_after_a_stop_only_zero_is_written(thread):
 
 
 def test_a_stop_within_a_write_ends_in_zero_after_it():
-    """As of a signal handler in the thread that writes."""
+    """A signal handler can stop the board while its own thread is writing."""
     with board_of(driver := Theirs()) as board:
         board.send(sequence(0))
         with driver.line.current(driver.proved[0]):

@@ -1,4 +1,4 @@
-"""Limits of profiles and units, and from one sequence to the next, by hand."""
+"""Limits of profiles, units, and successive sequences; expected values are computed by hand."""
 
 import dataclasses
 
@@ -20,7 +20,7 @@ SECOND = 10**9
 
 
 def pulses(slots, *, current_ua=2400, width_us=200, period_us=20_000, time_ns=SECOND, twin=False):
-    """One electrode against its neighbor, slot after slot; each other one reversed if twin."""
+    """Return slots that drive electrode 27 against 28; ``twin`` reverses every second slot."""
     current = np.zeros((slots, 64), np.int16)
     current[:, 27], current[:, 28] = current_ua, -current_ua
     if twin:
@@ -36,7 +36,7 @@ def limits():
 
 @pytest.fixture
 def opened(limits):
-    """A gate at full intensity a second after its start, and its clock."""
+    """Return a gate whose ramp has reached full intensity, and the gate's clock."""
     clock = ManualClock()
     gate = SafetyGate(limits, clock)
     open_level(gate.check, pulses(0), limits, clock=clock)
@@ -71,8 +71,8 @@ def test_a_new_session_waits_until_half_of_the_net_charge_is_free(opened):
         gate.check(pulses(2, time_ns=SECOND + 1 + step))
         clock.time_ns += 20_000_000
     gate.begin_session()
-    # 26 passes of 0.96 µC are less than 25 µC: the fourth must leave. It ended 440 µs after its
-    # start.
+    # 26 passes of 0.96 µC are below 25 µC, half of the limit, so 4 of the 30 must leave the second.
+    # The fourth ended 440 µs after its start.
     rest_ns = gate.net_rest_ns()
     assert rest_ns == SECOND - 27 * 20_000_000 + 440_000
     clock.time_ns += rest_ns - 1
@@ -88,7 +88,7 @@ def test_the_dose_is_time_charge_and_net_charge(opened):
     gate.check(pulses(1, current_ua=-1200, time_ns=SECOND + 1))
     dose = gate.dose
     assert dose.seconds - begun_s == pytest.approx(0.04)
-    # A pulse of 2.4 mA has 0.48 µC.
+    # A pulse of 2.4 mA carries 0.48 µC.
     assert dose.charge_mc[27:30] == pytest.approx((1.68e-3, 1.68e-3, 0))
     assert dose.net_uc[27:30] == pytest.approx((1.2, -1.2, 0))
     assert dose.most_net_uc == pytest.approx(1.2)

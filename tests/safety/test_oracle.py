@@ -1,4 +1,4 @@
-"""The oracle's limits over time by hand, and what it may import."""
+"""The oracle's limits over time, with values computed by hand, and the modules it may import."""
 
 import ast
 import math
@@ -18,26 +18,26 @@ from .oracle import Oracle
 
 OPENED_NS, STEPS = 5 * NS // 10, 5
 START = 3 * NS
-"""When that is more than a second ago."""
+"""Clock time at which the sequences of `warmed` are more than a second old."""
 SILENT = sequence([], intensity=0)
 OPENED_PC = sum(2 * 200 * math.ceil(step * 750 / STEPS) for step in range(1, STEPS + 1))
-"""Charge through an electrode of what opens a level."""
+"""Charge through one electrode, pC, of the sequences of `warmed`."""
 
 
 def ask(oracle, made, clock_ns, times=1, **other):
-    """Judge a sequence that claims the time of the clock."""
+    """Let the oracle judge a sequence whose time is set to that of the clock."""
     return oracle.judge(replace(made, time_ns=clock_ns), clock_ns, times, **other)
 
 
 def strong(ppb, **other):
-    """A pulse of the least charge that counts as much as it claims: a quarter of its share."""
+    """Return the weakest sequence without net charge whose strength equals its intensity."""
     current_ua = math.ceil(Fraction(ppb * FULL.full_ua, 4 * WHOLE))
     pulses = pair(current_ua) + pair(-current_ua)
     return sequence(pulses, width=200, intensity=intensity_of(ppb), **other)
 
 
 def begun(made=None):
-    """An oracle that has seen a silent start, and then a sequence."""
+    """Return an oracle that has accepted a silent sequence, and then ``made`` if given."""
     oracle = Oracle(FULL)
     assert ask(oracle, SILENT, 0) == []
     assert made is None or ask(oracle, made, 1) == []
@@ -45,12 +45,12 @@ def begun(made=None):
 
 
 def started():
-    """An oracle that has seen a weak pass of a twentieth of a second."""
+    """Return an oracle that has accepted a silent sequence and then weak current for 50 ms."""
     return begun(strong(2 * 10**8, period=50_000))
 
 
 def warmed(oracle=None):
-    """An oracle in which half a second of weak current has opened every level."""
+    """Raise the ramp of an oracle to full with half a second of weak current; return the oracle."""
     oracle, time_ns = oracle or Oracle(FULL), 1
     assert ask(oracle, SILENT, 0) == []
     for step in range(1, STEPS + 1):
@@ -60,14 +60,14 @@ def warmed(oracle=None):
 
 
 def driven(oracle, count, made, step_ns, start_ns=START):
-    """Send so many sequences, one a step; return the clock of the next."""
+    """Send ``count`` sequences, one every ``step_ns``; return the time for the next one."""
     for index in range(count):
         assert ask(oracle, made, start_ns + index * step_ns) == []
     return start_ns + count * step_ns
 
 
 def twin(first, count):
-    """Slots of both signs in turn, which leave nothing."""
+    """Return slots of alternating signs, without net charge."""
     return pair(first, count // 2) + pair(-first, count // 2)
 
 
@@ -78,45 +78,45 @@ def test_claimed_time_rises():
 
 
 def test_the_first_is_silent():
-    # A picocoulomb is less than a thousand parts per billion of a full pulse.
+    # The pulse of 1 pC is 500 ppb of a full pulse, so its intensity determines the strength.
     strongest = Oracle(replace(FULL, full_ua=Fraction(10_000)))
-    for ppb, broken in ((1_001, ["rise"]), (1_000, [])):
+    for ppb, broken in ((1_001, ["ramp"]), (1_000, [])):
         first = sequence(pair(1), width=1, intensity=intensity_of(ppb))
         assert ask(strongest, first, 10 * NS) == broken
-    # Intensity that is claimed without current is nothing.
+    # A sequence without current has no strength, so its intensity does not matter.
     assert ask(Oracle(FULL), sequence([]), 10 * NS) == []
 
 
 OVER_NS = 50_000_000 + 1 + 15 * NS
-"""A level stays open for fifteen seconds."""
+"""Last time at which the level of `started` is kept: 15 s after its current of 50 ms."""
 
 
 @pytest.mark.parametrize(("most_ppb", "clock_ns"), [
-    # A twentieth of a second is a tenth of the ramp; what a sequence may be late is a fifth.
+    # Current for 50 ms raises the level by 0.1; the allowance for late sequences adds 0.2.
     (300_001_000, NS), (250_001_000, NS // 40 + 1), (300_001_000, OVER_NS),
     (200_001_000, OVER_NS + 1),
 ])  # fmt: skip
 def test_a_level_is_opened_by_the_time_of_current(most_ppb, clock_ns):
     assert ask(started(), strong(most_ppb), clock_ns) == []
-    assert ask(started(), strong(most_ppb + 1), clock_ns) == ["rise"]
+    assert ask(started(), strong(most_ppb + 1), clock_ns) == ["ramp"]
 
 
 @pytest.mark.parametrize(("made", "opened"), [
     (strong(2 * 10**8, period=500_000), 200_000_000),
-    # 100 µA for 200 µs: a thirtieth.
+    # 100 µA for 200 µs is a thirtieth of a full pulse, so the strength is at most 4/30.
     (sequence(pair(100), width=200, period=500_000), 133_333_336),
 ])  # fmt: skip
 def test_and_no_further_than_current_was_strong(made, opened):
-    """Half a second is the whole ramp, but a fifth and its fourfold is all that has flowed."""
+    """Half a second could raise the level to full, but the strength of the current limits it."""
     oracle, most = begun(made), opened + 200_001_000
-    assert ask(oracle, strong(most + 1), NS) == ["rise"]
+    assert ask(oracle, strong(most + 1), NS) == ["ramp"]
     assert ask(oracle, strong(most), NS) == []
 
 
 def test_what_is_replaced_before_it_is_written_opens_nothing_and_lowers_nothing():
     oracle = begun()
     assert ask(oracle, strong(2 * 10**8, period=500_000), 1, written=False) == []
-    assert ask(oracle, strong(3 * 10**8), NS) == ["rise"]
+    assert ask(oracle, strong(3 * 10**8), NS) == ["ramp"]
     oracle.wrote(oracle.newest, NS)
     assert ask(oracle, strong(3 * 10**8), NS + NS // 20) == []
     assert ask(oracle, strong(10**8), 2 * NS, written=False) == []
@@ -129,19 +129,19 @@ def test_a_clock_that_falls_gives_no_time_and_what_is_refused_changes_nothing():
     for step in range(2, 20):
         back = strong(2 * 10**8, time_ns=step * NS)
         assert oracle.judge(back, (step % 2) * 1000) == []
-    assert oracle.judge(strong(3 * 10**8, time_ns=20 * NS), 0) == ["rise"]
+    assert oracle.judge(strong(3 * 10**8, time_ns=20 * NS), 0) == ["ramp"]
 
 
 @pytest.mark.parametrize(("made", "count", "step_ns", "one", "wait_ns", "rule"), [
-    # A pass counts until its last slot has left the second: thirty of 150 µs.
+    # A pass counts until its last slot leaves the second: its 30 slots take 4.5 ms.
     (sequence(twin(600, 30)), 50, 20_000_000, sequence(pair(600)), 4_500_000, "strong"),
-    # 9.6 µC each: 52 of them fit, as fast as they can be sent.
+    # A pass carries 9.6 µC, so 52 passes stay below the limit of 500 µC.
     (sequence(twin(2000, 24), width=200), 52, 1_000_000, sequence(twin(2000, 4), width=200), NS,
      "mean"),
-    # .8 µC a pass: 62 of them are 49.6 µC.
+    # A pass has a net charge of 0.8 µC, so 62 passes stay below the limit of 50 µC.
     (sequence(pair(2000, 2), width=200, period=10_000), 62, 10_000_000,
      sequence(pair(2000, 2), width=200, period=10_000), NS // 2, "net"),
-    # 100 Hz, and 100 ms ahead.
+    # The limit is 111 passes: 110 in 1.1 s at 100 Hz, and one more.
     (sequence([], period=10_000), 111, 100_000, sequence([], period=10_000), NS, "sequences"),
 ])  # fmt: skip
 def test_limits_of_any_second(made, count, step_ns, one, wait_ns, rule):
@@ -153,15 +153,15 @@ def test_limits_of_any_second(made, count, step_ns, one, wait_ns, rule):
 
 def test_a_phase_takes_back_what_was_carried():
     back = {"recharge_ua": np.array([-60, 60, 0, 0], np.int16)}
-    # 60 nC.
+    # The slot carries 60 nC, and so does a recharge phase of 60 µA for 1 ms.
     assert ask(warmed(), sequence(pair(600), recharge_us=1000, **back), START) == []
-    assert ask(warmed(), sequence(pair(600), recharge_us=1002, **back), START) == ["takes back"]
+    assert ask(warmed(), sequence(pair(600), recharge_us=1002, **back), START) == ["reduces charge"]
 
 
 def test_repetitions_are_judged_before_they_begin_and_ended_by_what_is_newer():
     made = sequence(twin(600, 30))
     assert ask(warmed(), made, START, 50) == []
-    # The 51st begins before the last slot of the first has left the second.
+    # Pass 51 begins before the last slot of pass 1 has left the second.
     assert ask(warmed(), made, START, 51) == ["strong in a second"]
     oracle = warmed()
     assert ask(oracle, sequence(twin(600, 14)), START, 3) == []
@@ -173,17 +173,17 @@ def test_repetitions_are_judged_before_they_begin_and_ended_by_what_is_newer():
 
 def test_time_of_a_session():
     made = sequence(pair(1), period=1_000_000)
-    # Those that opened the level are half a second of 600.
+    # The sequences of `warmed` have taken half a second of the session's 600 s.
     assert ask(warmed(), made, START, 601) == ["session time"]
     assert ask(warmed(), sequence([], period=1_000_000), START, 601) == []
     oracle = warmed()
     assert ask(oracle, made, START, 599) == []
-    # Cut short after ten: the others are given back, also where the board restarts.
+    # Ten passes have begun; a new sequence or a restart cancels the others, which do not count.
     again = START + 10 * NS - 1
     assert ask(oracle, made, again, 590) == ["session time"]
     assert ask(oracle, made, again, 589) == []
     oracle.restart(START + 11 * NS - 2)
-    # Eleven seconds, twice half a second of weak current, and what they leave.
+    # Eleven passes of 1 s and two runs of `warmed`, 0.5 s each, leave 588 s of 600 s.
     warmed(oracle)
     assert ask(oracle, made, START, 589) == ["session time"]
     assert ask(oracle, made, START, 588) == []
@@ -198,17 +198,17 @@ def test_charge_of_a_session():
 
 
 def test_bounds_of_profiles():
-    """By hand, from the definitions."""
+    """Expected values are computed by hand from the definitions."""
     mouse = Bounds.of(display("electric-mouse"))
     assert (mouse.electrodes, mouse.charge_pc, mouse.total_ua) == (64, 500_000, 10_000)
     assert mouse.electrode_ua == (5000,) * 64
     assert (mouse.pulse_us, mouse.ramp_ns, mouse.late_rise) == (200, NS // 2, 200_000_000)
     assert (mouse.rounding_ua, mouse.session_us) == (33, 3600 * 10**6)
-    # 1.2 in single precision is a little more than 1.2.
+    # The threshold, 1.2 mA in single precision, is slightly above 1.2, so half rounds up to 601.
     assert mouse.strong_ua == (601,) * 64
     assert mouse.recharge_ua == (120,) * 64
     assert 2400 < mouse.full_ua < Fraction(24_001, 10)
-    # A disc of .5 mm has .196 mm²: 100 µC/cm² are .196 µC. A ring of 1.0 and .85 mm has .2179 mm².
+    # The density limits the charge: 100 µC/cm² on a disc of 0.5 mm, 0.196 mm², are 0.196 µC.
     assert Bounds.of(display("small discs")).charge_pc == math.floor(math.pi / 16 * 10**6)
     ring = math.floor(math.pi / 4 * (1 - 0.85**2) * 10**6)
     assert Bounds.of(display("rings")).charge_pc == ring
@@ -220,12 +220,12 @@ def test_bounds_of_profiles():
 
 
 ORACLE = ("bounds", "quick", "oracle", "delivery_judge")
-"""The modules that judge; the others ask them, and the gate."""
+"""Modules of the oracle. Other modules of this folder compare the oracle with the gate."""
 MAY = (
     "smarttouch.profile", "smarttouch.profile.electrodes", "smarttouch.emulator.firmware",
     "smarttouch.emulator.skin",
 )  # fmt: skip
-"""What they may know of the package: data, geometry, and what an emulator wrote down."""
+"""Modules of the package that the oracle may import: profiles, geometry, logs of emulators."""
 
 
 @pytest.mark.parametrize("name", ORACLE)

@@ -1,4 +1,4 @@
-"""Every rule of a single sequence by hand."""
+"""Rules for a single sequence, each at its limit."""
 
 import math
 
@@ -70,7 +70,7 @@ EDGES = [
     ("mean current", sequence(pair(2000, 24), width=200, **recharged(1, -1, 0, 0)), sequence(
         pair(2000, 25), width=200, **recharged(1, -1, 0, 0))),
 ]  # fmt: skip
-"""Each rule, what just keeps it, and what just does not and breaks nothing else."""
+"""Rules, each with a sequence that keeps all rules, and one that just breaks only this rule."""
 
 
 def broken(made, bounds=FULL):

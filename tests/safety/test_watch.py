@@ -1,4 +1,4 @@
-"""The oracle beside the gates of a process: it judges what they accept, and what is delivered."""
+"""The watch reports unsafe sequences that a gate accepts, and unsafe pulses that boards deliver."""
 
 from dataclasses import replace
 
@@ -19,13 +19,13 @@ SILENT = sequence([], intensity=0.0, time_ns=0)
 
 
 def prove_all(gate, sequence, times=1, **_):
-    """Prove whatever it is."""
+    """Accept any sequence, as a faulty gate would."""
     return unproved(sequence, times, session=gate.session, strength_ppb=1)
 
 
 @pytest.fixture
 def blind(safety_watch):
-    """A watch in whose time gates accept everything, and the usual one looks away."""
+    """Return a watch, while gates accept every sequence and the usual watch is off."""
     safety_watch.on = False
     blinded = watch.Watch()
     with pytest.MonkeyPatch.context() as patch:
@@ -42,13 +42,13 @@ def test_what_a_gate_should_not_have_accepted(blind):
     assert blind.take() == []
     gate.check(sequence(pair(3001)))
     (broken,) = blind.take()
-    assert "breaks current, intensity, rise: " in broken
+    assert broken.endswith(", which breaks current, intensity, ramp")
 
 
 @pytest.mark.parametrize("taken", [False, True])
 def test_a_simulated_board(blind, taken, monkeypatch):
-    """Pulses are judged when they are taken, and the rest when the board is closed."""
-    # A board with a rise, or the limits that the watch judges by, would refuse the pulse itself.
+    """Pulses are judged when `take_pulses` returns them; the rest when the board is closed."""
+    # With a ramp, or with the limits of the watch, the board itself would refuse the pulse.
     monkeypatch.setattr("smarttouch.emulator.link_rules.RAMP_MS", 0)
     wider = replace(LIMITS, current_ma=4.0, full_ma=4.0)
     vars(wider)[watch.OF_PROFILE] = Bounds.of_limits(LIMITS)

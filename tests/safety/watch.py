@@ -1,4 +1,4 @@
-"""The oracle beside every gate of this process: what a gate accepts, it judges too."""
+"""Watch, which lets the oracle judge each sequence that a gate of this process accepts."""
 
 import functools
 import inspect
@@ -19,11 +19,11 @@ from .delivery_judge import Pulses, judge_pulses
 from .oracle import Oracle
 
 OF_PROFILE = "bounds of its profile"
-"""Under this name limits carry what the oracle reads of the profile that they were made of."""
+"""Name of the attribute in which a `SafetyLimits` holds the `Bounds` of its profile."""
 
 
 class HeardClock:
-    """A clock that remembers what it last said."""
+    """Clock that remembers the time it last returned."""
 
     def __init__(self, clock):
         self._clock, self.heard_ns = clock, 0
@@ -37,10 +37,10 @@ class HeardClock:
 
 
 class Watch:
-    """Judges what the gates of this process accept, and what its simulated boards deliver.
+    """Check of sequences that gates of this process accept, and of pulses that boards deliver.
 
-    What was broken since it was last taken is in ``broken``; off, it looks away, as where time is
-    measured.
+    ``broken`` has a message for each failure since the last `take`. If ``on`` is false, nothing is
+    checked, so that tests can measure time.
     """
 
     def __init__(self):
@@ -50,15 +50,15 @@ class Watch:
         self._limits, self._proved_sequences = WeakKeyDictionary(), WeakKeyDictionary()
 
     def bounds_of(self, limits):
-        """Return the bounds of limits: those of their profile where they were made of one."""
+        """Return the bounds of limits, or of the profile from which the limits were made."""
         bounds = vars(limits).get(OF_PROFILE) or Bounds.of_limits(limits)
         self._seen[bounds.electrodes] = bounds
         return bounds
 
     def bounds_of_size(self, electrodes):
-        """Return the bounds of this test's last display of so many electrodes.
+        """Return the bounds of this test's last display with this number of electrodes.
 
-        If there was none, those of a shipped profile; None if there is none of that size.
+        Without such a display, return the bounds of a shipped profile of that size, or None.
         """
         if electrodes in self._seen:
             return self._seen[electrodes]
@@ -68,33 +68,33 @@ class Watch:
         return None
 
     def take(self):
-        """Return what was broken, and forget this test."""
+        """Return the messages in ``broken``, and forget them and the displays of this test."""
         self._seen.clear()
         taken, self.broken = self.broken, []
         return taken
 
     def judge(self, gate, sequence, times=1):
-        """Judge what a gate has accepted."""
+        """Judge a sequence that a gate has accepted."""
         if not self.on:
             return
         oracle = self._oracles.get(gate)
         if oracle is None:
             oracle = self._oracles[gate] = Oracle(self.bounds_of(gate.limits))
         clock = self._clocks.get(gate)
-        # A gate without a clock takes time as each sequence claims it.
+        # A gate without a clock uses the times stated in sequences.
         now_ns = sequence.time_ns if clock is None else clock.heard_ns
         broken = oracle.judge(sequence, now_ns, times, written=False)
         if not broken:
             self._proved_sequences[sequence] = oracle.newest
         if broken:
-            self.broken.append(f"a gate accepted what breaks {', '.join(broken)}: {sequence}")
+            self.broken.append(f"a gate accepted {sequence}, which breaks {', '.join(broken)}")
 
     def begin(self, gate):
-        """Let a gate's oracle forget everything: its board was opened."""
+        """Discard the oracle of a gate, because the board of the gate starts a session."""
         self._oracles.pop(gate, None)
 
     def restart(self, gate):
-        """Let a gate's oracle begin again at zero, as the gate does; the dose stays."""
+        """Restart the oracle of a gate at zero, like the gate; the dose of the session remains."""
         oracle, clock = self._oracles.get(gate), self._clocks.get(gate)
         if oracle is not None and clock is None:
             oracle.restart(oracle.clock_ns or 0)
@@ -102,13 +102,13 @@ class Watch:
             oracle.restart(clock.heard_ns)
 
     def judge_taken(self, driver, pulses):
-        """Judge what a simulated board has delivered."""
+        """Judge pulses that a simulated board has delivered."""
         if self.on and driver in self._limits:
             bounds = self.bounds_of(self._limits[driver])
             self._delivered(Pulses.taken(*pulses), bounds, "simulated:")
 
     def judge_books(self, root):
-        """Judge all books of emulators in a folder, by the last display of as many electrodes."""
+        """Judge all delivery logs in a folder, with bounds of the last display of that size."""
         for delivered in sorted(Path(root).rglob(DELIVERED_FILE)):
             if (delivered.parent / STATE_FILE).is_file():
                 pulses = Pulses.of_books(delivered.parent)
@@ -118,12 +118,12 @@ class Watch:
 
     def _delivered(self, pulses, bounds, where):
         if broken := judge_pulses(pulses, bounds):
-            self.broken.append(f"{where} delivered what breaks {', '.join(broken)}")
+            self.broken.append(f"{where} delivered pulses that break {', '.join(broken)}")
 
-    # -- in the place of what is watched -------------------------------------
+    # -- patches of the package -----------------------------------------------
 
     def installed(self):
-        """Return a context in which it watches."""
+        """Patch gates and boards to report to this watch; return the patch, which can be undone."""
         patch = pytest.MonkeyPatch()
         patch.setattr(SafetyLimits, "of", classmethod(self._of(SafetyLimits.of.__func__)))
         patch.setattr(SafetyGate, "__init__", self._made(SafetyGate.__init__))
@@ -138,7 +138,7 @@ class Watch:
                 oracle.wrote(sent, proved.sequence.time_ns if clock is None else clock.heard_ns)
 
         def rest(driver, _):
-            # From a copy: they are still there for whoever takes them later.
+            # Take the pulses from a copy, so that the test can still take them.
             self.judge_taken(driver, copy(driver._books).take())
 
         def made(board, _, driver, *__, **___):
@@ -184,7 +184,7 @@ class Watch:
 
 
 def _then(call, do):
-    """Return a method that does something more, with what it returns, after it was called."""
+    """Return a method that calls ``call``, and then ``do`` with the returned value."""
 
     @functools.wraps(call)
     def watched(owner, *given, **named):
