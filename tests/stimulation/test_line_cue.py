@@ -1,4 +1,4 @@
-"""The cue leads to the line of print from above and below, and is absent on it."""
+"""The line cue appears while the finger is above or below the line of print, not while on it."""
 
 import math
 
@@ -24,8 +24,8 @@ def printed():
 
 @pytest.fixture(scope="module")
 def frames_at(printed):
-    """Return a maker of 30 frames along the second line, from a finger that is turned, and below
-    the middle of its small letters."""
+    """Return a function that yields 30 frames along the second line of print, from a turned finger
+    whose center is ``below_mm`` below the middle of the lowercase letters."""
 
     def make(profile, below_mm, angle_deg=0.0):
         line, source = printed.lines[1], PageSource(printed.page, profile, "page")
@@ -40,7 +40,7 @@ def frames_at(printed):
     return make
 
 
-# The line is 4.3 mm high, and 5.3 mm below the one before.
+# Lines of print are 4.3 mm high, with a pitch of 5.3 mm.
 @pytest.mark.parametrize("angle_deg", [-5, 0, 5])
 @pytest.mark.parametrize(
     ("below_mm", "cue"),
@@ -54,7 +54,7 @@ def test_the_row_towards_the_line_is_driven(profile, frames_at, below_mm, angle_
         counts["first"] += bool((rows[0] == 1).all())
         counts["last"] += bool((rows[-1] == 1).all())
     wrong = sum(count for row, count in counts.items() if row != cue)
-    # At most one in ten: interpolation differs between versions of OpenCV.
+    # Allow errors in 3 of 30 frames, because interpolation differs between versions of OpenCV.
     assert wrong <= 3
     assert not cue or counts[cue] >= 20
 
@@ -95,7 +95,7 @@ def test_two_rows_are_too_few(profile):
 
 
 def test_a_run_with_the_cue_is_proved_and_reproduced(profile, printed, tmp_path):
-    """A path beside the line: the first row carries current on the board, and only with the cue."""
+    """On a path below the line of print, the board drives the whole first row only with the cue."""
     points = printed.lines[1].baseline_mm
     y_mm = points[0, 1] - printed.lines[1].x_height_mm / 2 + 1.5
     driven = {}

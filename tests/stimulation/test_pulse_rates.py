@@ -1,4 +1,4 @@
-"""Rates and intensity follow force, classes keep their grids, and no scan is too fast."""
+"""Rates and intensity follow force, classes keep their time grids, and periods fit the board."""
 
 import math
 
@@ -41,7 +41,7 @@ def test_whole_hertz_are_rounded_down(period_us):
     rate_hz = round(1e6 / possible)
     assert possible >= period_us
     assert possible == math.ceil(1e6 / rate_hz)
-    assert math.ceil(1e6 / (rate_hz + 1)) < math.ceil(period_us), "the next hertz is too fast"
+    assert math.ceil(1e6 / (rate_hz + 1)) < math.ceil(period_us), "a rate 1 Hz higher also fits"
     assert ETACTILEKIT.shortest_period_us(possible) == possible
 
 
@@ -72,7 +72,7 @@ def test_other_pulses_than_the_board_s(timing, key, value, allowed):
 
 
 def pulses(rates, seconds):
-    """Follow the rates as a loop would; return when each class pulsed, s."""
+    """Run the timetable in simulated time; return the pulse times of each class, s."""
     time_ns, found = 0, {Afferent.RA: [], Afferent.SAI: []}
     while time_ns < seconds * 1e9:
         due, wait_us = rates.due(time_ns)
@@ -87,7 +87,7 @@ def test_each_class_pulses_at_its_own_rate(ra_hz, sai_hz):
     found = pulses(PulseRates({Afferent.RA: ra_hz, Afferent.SAI: sai_hz}, 5000), 4.0)
     for afferent, rate_hz in ((Afferent.RA, ra_hz), (Afferent.SAI, sai_hz)):
         assert len(found[afferent]) == pytest.approx(4.0 * rate_hz, abs=2)
-        # At most as early as pulses are merged, and never late.
+        # Merging with a pulse of the other class moves a pulse by at most 5 ms.
         assert np.abs(np.diff(found[afferent]) - 1 / rate_hz).max(initial=0) <= 0.005 + 1e-6
 
 

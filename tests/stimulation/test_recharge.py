@@ -1,4 +1,4 @@
-"""Net charge of each electrode, kept near zero by polarity or by a recharge phase."""
+"""Charge balance of electrodes, by reversed polarity or by recharge phases."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ from ..support.scans import sequence
 
 @st.composite
 def balanced(draw):
-    """Sequences as a smarttouch-4x4 gets them: one to four slots that sum to zero."""
+    """Draw a sequence of one to four charge-balanced slots for the profile smarttouch-4x4."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     slots = []
     for _ in range(draw(st.integers(1, 4))):
@@ -85,7 +85,7 @@ ONE = [[1000, -600, -400, 0]]
 
 @st.composite
 def scans(draw, most_slots=30, strongest_ua=2400):
-    """Sequences of 2 to 12 electrodes whose slots sum to zero and fit their period."""
+    """Draw a sequence of 2 to 12 electrodes; currents sum to zero and slots fit the period."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     electrodes, slots = draw(st.integers(2, 12)), draw(st.integers(0, most_slots))
     shares = rng.integers(-strongest_ua, strongest_ua, (slots, electrodes)) // electrodes
@@ -99,7 +99,7 @@ def scans(draw, most_slots=30, strongest_ua=2400):
 
 @st.composite
 def situations(draw):
-    """A scan, what earlier ones left, and rules."""
+    """Draw a scan, the net charge of electrodes before the scan, and limits of recharge phases."""
     scan = draw(scans())
     carried = np.array(
         [draw(st.integers(-4_000_000, 4_000_000)) for _ in range(scan.electrodes)], np.int64
@@ -127,8 +127,8 @@ def test_whatever_comes_the_phase_keeps_its_limits(situation):
     assert current_ua.dtype.kind == "i"
     assert current_ua.any()
     assert current_ua.sum() == 0
-    assert not (current_ua * np.sign(wanted_pc) < 0).any(), "never away from zero"
-    assert not current_ua[wanted_pc == 0].any(), "a masked electrode stays without current"
+    assert not (current_ua * np.sign(wanted_pc) < 0).any(), "a net charge was increased"
+    assert not current_ua[wanted_pc == 0].any(), "an electrode without net charge has current"
     assert (np.abs(current_ua) <= within.most_ua).all()
     passed_pc = np.abs(current_ua) * width_us
     assert (passed_pc <= np.minimum(MOST_RECHARGE_PC, np.abs(wanted_pc) + width_us)).all()
@@ -137,7 +137,7 @@ def test_whatever_comes_the_phase_keeps_its_limits(situation):
     slots_pc = scan.width_us.astype(int) @ np.abs(scan.current_ua.astype(int))
     assert (slots_pc + passed_pc)[current_ua != 0].max() <= 500 * mean_over_us
     busy_us = int(scan.width_us.sum()) + int(scan.discharge_us.sum()) + width_us
-    assert busy_us + int(scan.discharge_us.max()) <= planned.period_us, "and shorted after it"
+    assert busy_us + int(scan.discharge_us.max()) <= planned.period_us, "no discharge follows"
 
 
 @settings(deadline=None)
@@ -149,32 +149,32 @@ def test_what_can_be_brought_back_is_but_for_less_than_a_microampere(scan, most_
     if np.abs(net_pc).max(initial=0) > min(MOST_RECHARGE_PC, most_ua * MOST_RECHARGE_US):
         return
     left_pc = net_charge_pc(planned)
-    # Of the same sign as before, and no more than whole µA at every electrode make.
+    # Remaining charge keeps its sign, and is at most the rounding error of integer currents.
     assert (left_pc * np.sign(net_pc) >= 0).all()
     if planned.recharge_us:
         assert np.abs(left_pc).sum() <= 2 * scan.electrodes * planned.recharge_us
-        # As short as it can be: one µs less, and the current would be too strong.
+        # The phase is as short as possible: 1 µs less would need a current above the limit.
         assert np.abs(net_pc).max() > (planned.recharge_us - 1) * most_ua
 
 
 def test_the_numbers_of_one():
     planned = add_recharge(sequence(ONE), NOTHING, rules(120))
-    # 0.2 µC at 120 µA.
+    # Returning 0.2 µC at 120 µA takes 1667 µs.
     assert planned.recharge_us == 1667
-    # Whole µA, and none more than its electrode takes back.
+    # Currents are integer µA, and no electrode returns more charge than it carries.
     assert planned.recharge_ua.tolist() == [-118, 71, 47, 0]
     assert net_charge_pc(planned).tolist() == [3294, -1643, -1651, 0]
     assert planned.period_us == 20_000
     paid = add_recharge(sequence(ONE), np.array([-200_000, 120_000, 80_000, 0]), rules(120))
-    assert paid.recharge_ua is None, "what was left before counts too"
+    assert paid.recharge_ua is None, "earlier charge was ignored"
 
 
 def test_one_that_does_not_fit_makes_the_period_longer():
     planned = add_recharge(sequence(ONE, period_us=1000), NOTHING, rules(120))
-    # Pulses and phase are four fifths of it: longer than both with their short circuits.
+    # The period follows from the duty limit of 0.8; slots, phase and short circuits need less.
     assert planned.period_us == 2334 == -(-(200 + 1667) * 5 // 4)
     whole = rules(60, timing=ScanTiming(whole_hz=True))
-    # 200 + 3334 µs of current are four fifths of 4417.5 µs: 226 whole hertz.
+    # Current for 200 + 3334 µs needs a period of 4417.5 µs; the largest integer rate is 226 Hz.
     assert add_recharge(sequence(ONE, period_us=1000), NOTHING, whole).period_us == 4425
 
 
@@ -186,7 +186,7 @@ def test_the_largest_is_two_microcoulombs_and_twenty_milliseconds():
 
 
 def test_a_tenth_of_threshold_is_never_rounded_up():
-    # 1.2 in double precision is a little less than 1.2, in single precision a little more.
+    # In double precision, 1.2 is slightly below its decimal value; in single, slightly above.
     assert recharge_most_ua(np.array([1.2, 0.4, 5.0])).tolist() == [119, 40, 500]
     assert recharge_most_ua(np.array([1.2, 0.4], np.float32)).tolist() == [120, 40]
     profile = load_profile("electric-mouse")

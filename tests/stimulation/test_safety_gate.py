@@ -1,4 +1,4 @@
-"""Every limit raises, nothing that keeps them is refused, and the ramp follows a clock."""
+"""The gate refuses sequences beyond a limit, and the ramp permits each strength that it plans."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -34,7 +34,7 @@ SECOND = 10**9
 
 
 def warmed():
-    """A gate in which a second of the least current has opened full intensity."""
+    """Return a gate whose ramp was raised to full intensity by weak current."""
     gate = SafetyGate(LIMITS)
     open_level(gate.check, sequence(GOOD), gate.limits)
     return gate
@@ -48,7 +48,7 @@ def changed(**fields):
 
 
 def test_one_source_drives_no_more_than_one_electrode_may_carry():
-    """Where all but one come off the skin, that one carries what they shared."""
+    """If the others lose contact, a single electrode carries the complete current of the source."""
     shared, strong = [[1300, 1300, -1300, -1300]], [[1600, 1600, -1600, -1600]]
     limits = dataclasses.replace(LIMITS, total_ma=10.0, electrode_ma=None)
     for current, width, limit in ((shared, 200, "charge_uc"), (strong, 50, "total_ma")):
@@ -109,7 +109,7 @@ def test_each_limit_raises(bad, limit, slot, electrode):
 
 
 @pytest.mark.parametrize(("bad", "limit", "value", "allowed"), [
-    # In the 20 ms of its period an electrode may have 30 felt pulses and 10 µC.
+    # In a period of 20 ms, an electrode may have 30 perceptible pulses and a charge of 10 µC.
     (sequence([[-700, 700, 0, 0]] * 31, widths=50), "pulses_hz", 31, 30),
     (sequence(GOOD * 25), "mean_ma", 12, 10),
 ])  # fmt: skip
@@ -128,7 +128,7 @@ weak_or_strong = st.lists(
 
 @given(weak_or_strong)
 def test_whatever_weak_current_claims_it_opens_a_multiple_of_itself(asked):
-    """And one step of what may be late: a fifth of a full pulse, or a fifth for its fourfold."""
+    """A pulse has at most 4 times the largest charge so far, plus the ramp's rise in `LATE_NS`."""
     gate, flowed_pc, time_ns = SafetyGate(LIMITS), 0, 0
     gate.check(sequence([], intensity=0.0, time_ns=0))
     for current_ua, width_us, intensity, period_us in asked:
@@ -148,7 +148,7 @@ def test_whatever_weak_current_claims_it_opens_a_multiple_of_itself(asked):
 
 
 def test_parts_and_repetitions_of_a_sequence_open_the_level_once():
-    """Written three times, 20 ms apart: its one pass counts from the first."""
+    """Of three writes of a sequence, 20 ms apart, only the first raises the level."""
     time_ns, opened = [SECOND], []
     for noted in (1, 3):
         time_ns[0] = SECOND
@@ -209,14 +209,14 @@ steps = st.lists(
 
 
 def begun():
-    """A ramp after a silent sequence."""
+    """Return a ramp after a silent sequence."""
     ramp = Ramp(RAMP_NS)
     ramp.claim(PPB, 0, 0)
     return ramp
 
 
 def opened():
-    """A ramp that is full, and the time at which its last current ends."""
+    """Return a ramp at full strength, and the time at which its last current ends."""
     ramp = begun()
     ramp.note(0, PPB, 0, RAMP_NS)
     ramp.note(PPB, PPB, RAMP_NS, STEP_NS)
@@ -226,7 +226,7 @@ def opened():
 
 @given(steps)
 def test_what_is_planned_is_permitted_though_it_is_written_late_or_never(asked):
-    """Planned from what was proved before, of which each third is replaced."""
+    """Every third proved sequence is replaced; the others are written 5 ms after their proof."""
     ramp, now_ns = begun(), 0
     for index, (wait_ns, wanted_ppb, weak_ppb, lasting_ns) in enumerate(asked):
         now_ns += wait_ns
@@ -252,7 +252,7 @@ def test_a_restart_begins_at_zero_without_current(now_ns):
     (20, [0.04, 0.08, 0.12, 0.16]), (50, [0.04, 0.14, 0.24, 0.34]), (500, [0.04, 0.2, 0.36, 0.52]),
 ])  # fmt: skip
 def test_planned_steps_are_as_long_as_pulses_flow(period_ms, planned):
-    """From one step of 20 ms, by one of 80 ms at most; after a pause, on from there."""
+    """Planned steps are the ramp's rise in 20 ms, then in one period, but at most in 80 ms."""
     ramp, found, now_ns = begun(), [], 10**9
     for _ in planned:
         found.append(ramp.allowed_level(now_ns))
@@ -264,7 +264,7 @@ def test_planned_steps_are_as_long_as_pulses_flow(period_ms, planned):
     step = min(period_ms * 1_000_000, MOST_STEP_NS) / RAMP_NS
     assert ramp.allowed_level(now_ns + 13 * 10**9) == pytest.approx(planned[-1] + step, abs=1e-6)
     assert ramp.open_level(now_ns + 13 * 10**9) == pytest.approx(planned[-1], abs=1e-6)
-    # A second sooner than the gate closes it.
+    # Plans restart at zero after 14 s without current; the gate keeps the level for 15 s.
     assert ramp.allowed_level(now_ns + 15 * 10**9) == pytest.approx(0.04)
     assert ramp.open_level(now_ns + 15 * 10**9) == 0
 
@@ -273,17 +273,17 @@ def test_a_sequence_that_is_still_to_be_written_lowers_what_is_planned():
     ramp, now_ns = opened()
     ramp.claim(PPB // 2, PPB // 2, now_ns)
     assert ramp.allowed_level(now_ns) == pytest.approx(0.5 + STEP_NS / RAMP_NS)
-    # So does one without current, as that of a lifted finger.
+    # A sequence without current, as after a lifted finger, lowers the plan, too.
     ramp.claim(0, 0, now_ns)
     assert ramp.allowed_level(now_ns) == pytest.approx(STEP_NS / RAMP_NS)
 
 
 def test_a_limit_is_the_decimal_that_a_person_wrote():
-    # The nearest double to 2.3 lies below it: 2,299 µA would be the limit.
+    # The nearest double to 2.3 is below 2.3: rounded down, the limit would be 2,299 µA.
     limits = SafetyLimits(2, 2.3, 200, 0.5, 200, 0.8, 0.5, 2.3)
     assert limits.current_ua.tolist() == [2300, 2300]
     assert decimal(0.1) * 10 == 1
-    # A pulse is never longer than its limit.
+    # Fractions of a µs are cut off, so that no pulse is longer than its limit.
     shorter = [dataclasses.replace(limits, pulse_us=pulse_us) for pulse_us in (1.9, 2.0, 99.5)]
     assert [each.width_whole_us for each in shorter] == [1, 2, 99]
 

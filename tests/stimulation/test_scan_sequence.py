@@ -1,4 +1,4 @@
-"""Kernels in whole numbers, slots as sums of them, whole µA, and what a proof shows."""
+"""Quantized kernels, slots as sums of kernels, and currents in integer µA."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def random_table(seed, kernels, electrodes):
 
 
 def slowly(table, pairs):
-    """Return what a list of (kernel, amplitude) makes, by Python's own whole numbers."""
+    """Return the currents of a list of (kernel, amplitude), computed with Python's integers."""
     made, carried, before = [], 0, 0
     for electrode in range(table.weights.shape[1]):
         carried += sum(int(table.weights[k, electrode]) * a for k, a in pairs)
@@ -108,7 +108,7 @@ def test_sequences_are_sums_and_proved_as_such(scan):
         assert sequence.sums.table is whole.table
         np.testing.assert_array_equal(sequence.sums.current_ua, sequence.current_ua)
         if before.current_ua.shape == sequence.current_ua.shape:
-            # What rounding leaves over does not go to one electrode any more.
+            # Currents differ, as without sums one electrode takes the rounding error of a slot.
             np.testing.assert_allclose(sequence.current_ua, before.current_ua, atol=12)
         if (proof := sequence.proof) is not None:
             assert np.maximum(proof.off_target, proof.spill)[proof.points > 1].max(initial=0) <= 0.3

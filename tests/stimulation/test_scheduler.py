@@ -1,4 +1,4 @@
-"""Slots balanced, spread and within every limit; periods within the net charge of a second."""
+"""Slots are charge-balanced, ordered and within all limits; periods limit net charge per second."""
 
 import functools
 import math
@@ -33,7 +33,7 @@ def tactile(activation, time_ns=10**9, afferent=Afferent.RA):
 
 @functools.cache
 def shipped(name):
-    """Return a profile and its bank."""
+    """Return a shipped profile and its kernel bank."""
     profile = load_profile(name)
     return profile, load_bank(profile)
 
@@ -68,7 +68,7 @@ def test_every_sequence_of_every_profile_is_safe(name, data):
 
 
 def test_full_activation_gets_the_comfortable_current_and_faint_the_threshold(profile, bank):
-    """And RA is anodic at its point."""
+    """RA pulses are anodic at their site."""
     activation = np.zeros(64)
     activation[[9, 50]] = 1.0, 1e-6
     sequence = ScanScheduler(profile, bank, (Afferent.RA,), 50).schedule(tactile(activation), 1.0)
@@ -106,7 +106,7 @@ def test_impossible_rates(profile, bank, rate):
 
 @pytest.fixture(scope="module", params=["line-7", "kajimoto-61"])
 def masked(request, changed):
-    """A profile without electrodes 2 and 5, and its bank."""
+    """Return a profile with masked electrodes 2 and 5, and its kernel bank."""
     keys = {"output.masked": [2, 5], "skin.node_spacing_mm": 0.5}
     profile = changed(load_profile(request.param), keys)
     return profile, design_bank(profile)
@@ -167,7 +167,7 @@ def test_successive_points_are_apart(count):
 
 
 def natural_image():
-    """RA and SAI here and there, each point as strong as no other: no slot is another's."""
+    """Return an image of RA and SAI points, each with another activation, so that slots differ."""
     rows = np.zeros((3, 64), np.float32)
     rows[Afferent.RA, ::3] = np.linspace(1, 0.3, 22)
     rows[Afferent.SAI, 1::5] = np.linspace(0.2, 0.9, len(rows[1, 1::5]))
@@ -175,7 +175,7 @@ def natural_image():
 
 
 def test_classes_that_are_due_together_follow_one_another(profile, bank):
-    """Each slot is, column by column, what its class alone has in this place."""
+    """The slots of RA come first, then those of SAI, unchanged from sequences of a single class."""
     both = (Afferent.RA, Afferent.SAI)
     joined = ScanScheduler(profile, bank, both).schedule(natural_image(), 0.7)
     first, second = (
@@ -224,7 +224,7 @@ def test_where_two_rates_are_not_possible(profile, bank, options, attributes):
     {"limits.electrode_ma": (1.0,) * 8},
 ])  # fmt: skip
 def test_a_comfort_that_is_just_the_limit_stays_within_it(changed, keys):
-    """Remainders of rounding never push the strongest electrode above its limit."""
+    """Rounding never raises the current of the strongest electrode above its limit."""
     line = changed(load_profile("line-8"), keys)
     bank = load_bank(line)
     for afferent in Afferent:
@@ -234,7 +234,7 @@ def test_a_comfort_that_is_just_the_limit_stays_within_it(changed, keys):
 
 
 def test_rounding_of_a_thousand_small_currents_is_no_charge_above_the_limit(profile, bank, changed):
-    """2.6 µA round to 3: what 923 electrodes leave over is 370 µA."""
+    """Rounding 2.6 µA to 3 µA at 923 electrodes would leave a remainder of 370 µA."""
     wide = changed(profile, {"array.rows": 32, "array.columns": 32})
     weights = np.zeros((1024, 1024))
     for site in range(100):
@@ -262,14 +262,14 @@ def test_no_second_has_more_than_its_net_charge(seed):
         next_us = plan.next_period_us(net_pc, time_us, period_us, period_us // 2)
         if next_us is not None:
             sent.append((time_us + period_us // 2, net_pc))
-        # Of any newest passes of the second before.
+        # The limit holds for any number of the latest passes of the last second.
         kept = [net_pc for end_us, net_pc in reversed(sent) if end_us > time_us - 1_000_000]
         assert np.abs(np.cumsum(kept, axis=0)).max(initial=0) <= NET_PC
         time_us += math.ceil(next_us or period_us)
 
 
 def planned(rate_hz, net_pc, wanted, seconds=6.0):
-    """Return the times of passes, the periods planned, and how many passes were left out, µs."""
+    """Return the times of passes and their periods, µs, and the number of omitted passes."""
     plan, time_us, period_us = NetPlan(1), 0.0, round(1e6 / rate_hz)
     each_pc = np.array([float(net_pc)])
     times, periods, left_out = [], [], 0
@@ -291,7 +291,7 @@ def planned(rate_hz, net_pc, wanted, seconds=6.0):
 def test_pauses_are_short_and_no_longer_than_net_charge_requires(rate_hz, net_pc):
     times, periods, left_out = planned(rate_hz, net_pc, lambda _: True)
     assert left_out == 0
-    # Spread, not given at once and then withheld.
+    # Passes are slowed evenly, instead of a long pause after fast passes.
     assert periods.max() < 60_000
     steady = times[-1] - times[times > 3e6][0]
     allowed_us = max(1e6 / rate_hz, 1e6 * net_pc / NET_PC)
@@ -299,7 +299,7 @@ def test_pauses_are_short_and_no_longer_than_net_charge_requires(rate_hz, net_pc
 
 
 @pytest.mark.parametrize(("net_pc", "wanted"), [
-    # Every fifth frame, as ridges pass under a finger; trains that are over in time.
+    # every fifth frame, as when ridges pass under a finger; trains of 0.4 s each second
     (1_200_000, lambda time_us: int(time_us // 10_000) % 5 == 0),
     (480_000, lambda time_us: time_us % 1_000_000 < 400_000),
 ])  # fmt: skip

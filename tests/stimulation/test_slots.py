@@ -1,4 +1,4 @@
-"""Slots of many points: within every limit and bound, and every point gets what it would alone."""
+"""Shared slots keep limits and bounds, and stimulate points as strongly as separate slots do."""
 
 import numpy as np
 import pytest
@@ -73,7 +73,7 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
     assert (proof.spill[shared] <= profile.frames.spill).all()
     if intensity < 0.05 or not len(site):
         return
-    # By all the rows of the problem, not by the proof.
+    # Compute activations by the design problem, independently of the proof.
     rows = problems[afferent]
     current_ma = current_ua / 1000 / intensity
     level = np.where(activation > 0, 0.5 + 0.5 * activation, 0)
@@ -90,18 +90,18 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
         mine = np.argsort(-part[slot])[:points]
         weakest = (reached[slot] / np.where(level > 0, level, np.inf))[mine].min()
         assert site[slot] in mine
-        # Of a single point it is that of its kernel, whatever rounding makes of it.
+        # For a single point, the proof states the off-target of its kernel before rounding.
         rounding = 0.01 + (0.03 / intensity if points == 1 else 0)
         true = others[slot] / weakest
         if points == 1:
             assert proof.off_target[slot] == pytest.approx(true, rel=0.08, abs=rounding)
         else:
-            # A bound of all frames, and so of this one.
+            # For a shared slot, the proof states an upper bound over all frames.
             assert true <= proof.off_target[slot] * 1.08
 
 
 def test_a_class_is_felt_at_its_own_shift(profile, bank, changed):
-    """RA is felt one cell to the right of where it is stimulated."""
+    """RA is felt one cell to the right of its site, so the site one cell to the left is used."""
     shifted = changed(profile, {"perception.ra_shift_mm": (2.0, 0.0)})
     activation = np.zeros(64, np.float32)
     activation[45] = 1
@@ -131,7 +131,7 @@ def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
 
 
 def test_where_nothing_is_proved_points_are_shown_one_by_one(profile, bank, made):
-    """SAI: 16 of its kernels together reach RA twice as strongly as their targets."""
+    """SAI sites are not independent: 16 kernels activate RA twice as strongly as their targets."""
     activation = np.zeros(64, np.float32)
     activation[:10] = 1
     found = made[Afferent.SAI].slots(activation, 1.0)
@@ -141,7 +141,7 @@ def test_where_nothing_is_proved_points_are_shown_one_by_one(profile, bank, made
     assert found.site.tolist() == alone.site[order].tolist()
     assert found.current_ua == pytest.approx(alone.current_ua[order], abs=40)
     assert found.proof.off_target == pytest.approx(bank.off_target[Afferent.SAI][:10], rel=0.02)
-    # A faint point does less; figures are scaled to level 1, .6 is aimed at to be within 5 %.
+    # Values are relative to level 1. Activation 0.2 is level 0.6, which is divided by `_aim`, 0.96.
     faint = made[Afferent.SAI].slots(activation * np.float32(0.2), 1.0)
     assert faint.proof.off_target == pytest.approx(0.6 / 0.96 * found.proof.off_target, rel=1e-3)
 
@@ -156,7 +156,7 @@ def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots):
 
 
 def test_masked_electrodes_carry_nothing(profile, changed):
-    # Of few electrodes: kernels around the masked ones are designed here.
+    # Use few electrodes, because this test designs kernels around the masked ones.
     few = {"array.rows": 4, "array.columns": 4, "skin.node_spacing_mm": 1.0}
     masked = changed(profile, few | {"output.masked": (5, 6)})
     slots = FrameSlots(masked, load_bank(masked), Afferent.RA)
@@ -172,7 +172,7 @@ def test_boards_that_cannot_are_refused(profile, bank, changed):
         FrameSlots(board, load_bank(board), Afferent.RA)
     for key, keys in (
         ("frames.share", {"frames.share": False}),
-        # As profiles were before they had that key.
+        # Without the key frames.share, points share slots only if limits.total_ma is set.
         ("frames.share", {"limits.total_ma": None, "frames.share": None}),
     ):
         with raises(ScheduleError, value=key):
@@ -180,7 +180,7 @@ def test_boards_that_cannot_are_refused(profile, bank, changed):
 
 
 def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, bank, changed):
-    """Bounds that nothing keeps: every point alone, at a current that is just the limit."""
+    """No kernels keep the bounds, so each point has its own slot, with current at the limit."""
     keys = {"frames.other": 0.01, "limits.current_ma": 2.35}
     alone = changed(profile, keys | {"perception.comfort_ma": (2.35,) * 64})
     activation = np.zeros(64, np.float32)
