@@ -1,4 +1,4 @@
-"""Banks: shipped ones are current, and no broken file is used."""
+"""Kernel banks: shipped banks match their profiles, and damaged files are not used."""
 
 import io
 import os
@@ -49,7 +49,7 @@ def test_shipped_banks_answer_their_profiles(name, cache, monkeypatch):
             np.ones(count), rel=1e-4
         )
         assert np.abs(bank.kernels(afferent)).max(axis=1) == pytest.approx(np.ones(count))
-        # Under the ring of a concentric electrode is the middle of its disc.
+        # Check only the disc of `concentric`: in its middle, the ring has the opposite effect.
         own = np.diag(weights)[: 1 if name == "concentric" else None]
         if afferent is Afferent.RA:
             assert np.all(own < 0)
@@ -76,12 +76,12 @@ def test_one_against_all_offers_its_polarity_only():
     only_ra = {"value": Afferent.SAI, "allowed": (Afferent.RA,)}
     with raises(DesignError, names="mode", **only_ra) as caught:
         bank.kernels(Afferent.SAI)
-    assert "RA (" in str(caught.value), "with what it reaches elsewhere"
+    assert "RA (" in str(caught.value), "the message lacks the off-target of RA"
 
 
 @pytest.fixture
 def mine():
-    """A profile that no bank is shipped for."""
+    """Return a profile for which no bank is shipped."""
     profile = load_profile("smarttouch-4x4")
     table = profile.model_dump()
     table["name"] = "mine"
@@ -221,7 +221,7 @@ def test_a_damaged_bank_is_no_bank(cache, mine, damage):
     elif damage == "flipped":
         with zipfile.ZipFile(path) as archive:
             member = archive.getinfo("weights_RA.npy")
-        # Its header takes 64 bytes.
+        # Flip a bit in the middle of the data, which begin after a header of about 64 bytes.
         data[member.header_offset + 64 + member.compress_size // 2] ^= 1
     elif damage == "no archive":
         data = b"precious"

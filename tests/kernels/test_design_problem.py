@@ -1,4 +1,4 @@
-"""Problems of a site, those of many at once, and kernels of switched boards."""
+"""Symmetries of design problems, batch design of many sites, and kernels of switched boards."""
 
 import json
 
@@ -24,7 +24,7 @@ from smarttouch.profile import load_profile
 from ..support.checks import assert_close, raises
 from ..support.full import sample
 
-# Axons looked at in fewer places: symmetries, names and sums are the same.
+# Coarse nodes save time. Symmetries, messages and sums do not depend on the spacing.
 SPACING = "skin.node_spacing_mm"
 
 
@@ -69,9 +69,9 @@ SQUARE = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [0, 2], [2, 2]], "s
     ("electric-mouse", {"array": FREE}, 1),
     ("electric-mouse", {"array": SQUARE | {"size_mm": [0.5, 1.5]}}, 4),
     ("electric-mouse", {"array": SQUARE | {"size_mm": [1.0, 1.0]}}, 8),
-    # The diagonal through it is left.
+    # The only remaining mirror axis is the diagonal through the masked electrode.
     ("electric-mouse", {"output.masked": [27]}, 2),
-    # Thresholds alone do not change kernels.
+    # Without limits of total or electrode currents, thresholds do not change kernels.
     ("smarttouch-4x4", {"perception.threshold_ma": [1.2] * 15 + [1.1]}, 8),
 ], ids=["free", "upright", "square", "masked", "thresholds"])  # fmt: skip
 def test_how_many_symmetries_there_are(changed, name, keys, count):
@@ -119,7 +119,7 @@ def problem():
 
 @pytest.mark.parametrize("afferent", list(Afferent))
 def test_symmetry_gives_what_solving_each_site_gives(changed, afferent):
-    """RA alone may also be turned by a quarter, where there and back are not the same."""
+    """Only problems of RA have quarter turns, whose inverse is another symmetry."""
     coarse = changed(load_profile("smarttouch-4x4"), {"skin.node_spacing_mm": 0.25})
     problem = Problem(coarse, afferent)
     assert problem.representative(15)[0] == 0
@@ -132,7 +132,7 @@ def test_symmetry_gives_what_solving_each_site_gives(changed, afferent):
 
 
 def test_measured_impedances_hold_at_every_site(changed):
-    """A kernel mirrored onto electrodes of other impedance would not be what flows."""
+    """Electrodes of other impedances would divide the current of a mirrored kernel differently."""
     impedance = [1.0, 3.0, 0.5, 2.0, 1.0, 0.7]
     keys = {"array.rows": 2, "array.columns": 3, "output.impedance_kohm": impedance}
     keys["skin.node_spacing_mm"] = 0.5
@@ -191,7 +191,7 @@ def test_a_confined_bank_is_that_of_masked_arrays(grid, changed, tmp_path, monke
         assert judged.off_target == pytest.approx(best.off_target, rel=1e-6)
     for weights in bank.weights.values():
         assert np.abs(weights.sum(axis=1)).max() < 1e-12
-    # Kept and found again, and not for kernels of all electrodes.
+    # The stored bank is found again, but not by a profile whose kernels may drive all electrodes.
     monkeypatch.setattr("platformdirs.user_cache_path", lambda _: tmp_path)
     write_bank(tmp_path / f"{problem_hash(profile)}.npz", profile, bank)
     assert find_bank(profile) is not None
@@ -203,7 +203,7 @@ def test_one_site_is_designed_alone(grid):
     (found,) = find_kernels(profile, [Afferent.RA], 24, False, None)
     kernel = found.kernel
     assert np.count_nonzero(kernel.weights) <= 21
-    # Of all the symmetries of its site.
+    # The kernel has all symmetries of its site.
     square = kernel.weights.reshape(7, 7)
     for turned in (square.T, square[::-1], square[:, ::-1]):
         np.testing.assert_allclose(square, turned, atol=1e-9 * np.abs(square).max())
@@ -213,7 +213,7 @@ def test_one_site_is_designed_alone(grid):
     "keys",
     [
         {},
-        # Limits of its own, or a mask, make a site unlike others.
+        # An electrode with another limit, or a masked one, makes the surroundings of sites differ.
         {"limits.electrode_ma": (3.0,) * 100 + (2.9,) + (3.0,) * 155},
         {"output.masked": (100,)},
     ],
@@ -240,7 +240,7 @@ def test_kernels_that_cannot_be_confined(grid):
 
 @pytest.fixture(scope="module")
 def small(changed):
-    """A 2 x 3 array of three states."""
+    """Return a function that makes the profile of a three-state board with 2 x 3 electrodes."""
 
     def make(**more):
         keys = {"array.rows": 2, "array.columns": 3, "skin.node_spacing_mm": 0.25}
@@ -250,7 +250,7 @@ def small(changed):
 
 
 def ring_of(profile, site):
-    """Return the neighbors of a site on a square grid, diagonals included."""
+    """Return the neighbors of a site on a square grid, including diagonal ones."""
     away_mm = np.abs(profile.electrodes.position_mm - profile.electrodes.position_mm[site])
     near = away_mm.max(axis=1) < 1.1 * profile.electrodes.pitch_mm
     return sorted({*np.flatnonzero(near).tolist()} - {site})
@@ -305,7 +305,7 @@ def test_a_ring_that_breaks_a_limit_is_not_chosen():
 
 @pytest.mark.parametrize("afferent", list(Afferent))
 def test_no_shipped_kernel_shares_a_source_between_all_poles(afferent):
-    """What several electrodes share flows through one of them where the others come off."""
+    """One pole is a single electrode: of several, the last in contact would carry all current."""
     profile = load_profile("smarttouch-4x4")
     weights = load_bank(profile).kernels(afferent)
     assert np.abs(weights).sum(axis=1) / 2 == pytest.approx(np.abs(weights).max(axis=1))

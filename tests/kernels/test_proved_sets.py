@@ -1,4 +1,4 @@
-"""Figures of slots are those of all rows, and no subset of a set of sites breaks its bounds."""
+"""Selectivity of slots agrees with the design problem, and proofs hold for all subsets of sites."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ from ..support.full import WHOLE, sample
 
 @pytest.fixture(scope="module")
 def make_operator(profile, bank, changed):
-    """Return a maker of operators with places as far apart as where frames are shown."""
+    """Return a function that makes the operator of a class, with the node spacing of proofs."""
     made, profile = {}, changed(profile, {"skin.node_spacing_mm": 0.5})
 
     def make(afferent):
@@ -59,7 +59,7 @@ def test_figures_are_those_of_all_rows(judged, seed, points):
     level = np.zeros(64)
     active = rng.choice(64, points, replace=False)
     level[active] = rng.uniform(0.5, 1, points)
-    # Rough currents, so that every figure counts.
+    # Add random errors to the currents, so that off-target and spill are not zero.
     current = np.linalg.solve(problem.target, level * judge.wish_af) + 0.1 * rng.normal(size=64)
     (figures,) = judge.judge(current[None], level[None])
     reached = problem.target[active] @ current
@@ -71,7 +71,7 @@ def test_figures_are_those_of_all_rows(judged, seed, points):
     if smallest <= 0:
         assert figures.off_target == figures.spill == np.inf
         return
-    # What the quick judge may miss of either figure: below 2 %.
+    # The values of the fast `FrameJudge` may differ by 2 %.
     assert figures.off_target == pytest.approx((problem.other @ current).max() / smallest, rel=0.02)
     far = np.logical_and.reduce([problem.beyond_a_pitch(site) for site in active])
     spill = max((problem.own[far] @ current).max(initial=0) / smallest, 0)
@@ -121,7 +121,7 @@ def test_sets_are_as_large_as_can_be_proved(make_operator):
     sets = proved_sets(make_operator(Afferent.RA).judge, bounds)
     assert [len(each.sites) for each in sets] == [16] * 4
     assert sorted(np.concatenate([each.sites for each in sets])) == list(range(64))
-    # Tighter bounds, sparser sets; and none at all.
+    # Tighter bounds allow only sets of sparser sites, or none.
     assert len(proved_sets(make_operator(Afferent.RA).judge, FrameBounds(other=0.15))) == 9
     assert proved_sets(make_operator(Afferent.RA).judge, FrameBounds(other=0.05)) == []
     assert proved_sets(make_operator(Afferent.SAI).judge, bounds) == []
@@ -135,7 +135,7 @@ def test_what_is_proved_holds_every_tenth_of_a_millimeter(make_operator, profile
     wish = full_wish(profile, bank.kernels(Afferent.RA), bank.receptor[Afferent.RA])
     fine = FrameOperator(FrameJudge(profile, Afferent.RA, wish))
     for one in sample(proved_sets(make_operator(Afferent.RA).judge, FrameBounds()), 4):
-        # The same kernels as at .5 mm, judged closer.
+        # Kernels were made with nodes 0.5 mm apart. Check them with nodes 0.1 mm apart.
         closer = SharedKernels(fine, one.sites)
         closer.__dict__["kernels"] = one.kernels
         assert closer.off_target == pytest.approx(one.off_target, rel=0.005)
@@ -174,7 +174,7 @@ def test_no_subset_breaks_what_is_certain_after_rounding(
     share = 0.96 * level[one.sites]
     exact_ua = 1000 * intensity * (share @ one.kernels)
     peak_ua = 1000 * np.abs(one.kernels).max(axis=1)
-    # The worst that rounding of amplitudes may do, besides what it does.
+    # Besides the actual rounding errors of amplitudes, try the largest possible ones.
     amplitude = 4 * intensity * share * peak_ua
     amplitude += rng.choice([0, -0.4999, 0.4999]) * (share > 0)
     kernel = np.flatnonzero(share).astype(np.uint16)

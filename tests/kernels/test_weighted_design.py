@@ -1,4 +1,4 @@
-"""Weighted kernels against an independent optimum and the figures of the paper."""
+"""Weighted kernels agree with an independent optimum and with the values of the paper."""
 
 import contextlib
 
@@ -45,7 +45,7 @@ def test_figure_8(line, changed, afferent, spacing, worst, weights, spill):
     assert kernel.peak_normalized == pytest.approx(weights + weights[-2::-1], abs=6e-4)
     assert abs(kernel.weights.sum()) < 1e-9
     assert problem.target[3] @ kernel.weights == pytest.approx(1, abs=1e-9)
-    assert (problem.axon(3) @ kernel.weights).max() == pytest.approx(1, abs=1e-6), "Eq. 11"
+    assert (problem.axon(3) @ kernel.weights).max() == pytest.approx(1, abs=1e-6)  # paper, Eq. 11
 
 
 def test_pc_cannot_be_selected_and_is_symmetric(line):
@@ -53,8 +53,8 @@ def test_pc_cannot_be_selected_and_is_symmetric(line):
     kernel = design_kernel(problem, 3, given_up=0)
     assert kernel.off_target == pytest.approx(3.04, abs=5e-4)
     assert kernel.weights == pytest.approx(kernel.weights[::-1], abs=1e-9)
-    assert kernel.off_target_class is Afferent.RA, "SAI is pressed alike: the first is named"
-    assert (problem.axon(3) @ kernel.weights).max() == pytest.approx(1, abs=1e-6), "Eq. 11"
+    assert kernel.off_target_class is Afferent.RA, "of two equal classes, name the first"
+    assert (problem.axon(3) @ kernel.weights).max() == pytest.approx(1, abs=1e-6)  # paper, Eq. 11
 
 
 METHODS = [
@@ -83,7 +83,7 @@ def test_a_simplex_that_runs_in_circles_gives_way(line, monkeypatch):
 
 
 def test_a_kernel_that_could_be_mirrored_is_not(profile, changed):
-    """PC within 10 mA has equal kernels on either side of its site: the inner one is taken."""
+    """Of two equally good PC kernels, mirrored at the site, the one nearer the middle is chosen."""
     problem = Problem(changed(profile, {SPACING: 0.5}), Afferent.PC)
     usual = design_kernel(problem, 27).weights
     for options in sample(METHODS):
@@ -101,7 +101,7 @@ def test_row_generation_misses_no_row(three_by_three, changed, afferent):
 
 
 def test_two_nerves_are_easier_than_three(line):
-    """Eq. 10 against Eq. 16."""
+    """Off-target is smaller against one other class (Eq. 10) than against two (Eq. 16)."""
     three = design_kernel(Problem(line, Afferent.SAI), 3, given_up=0)
     two = [
         design_kernel(Problem(line, Afferent.SAI, [other]), 3, given_up=0)
@@ -116,7 +116,7 @@ def test_two_nerves_are_easier_than_three(line):
     (Afferent.RA, 0.1072, 0), (Afferent.SAI, 0.2424, 3), (Afferent.PC, 2.4548, 2),
 ])  # fmt: skip
 def test_brute_force_over_the_node(line, changed, afferent, least, aside_mm):
-    """Each node of the axon under the array is tried; RA alone is best under the electrode."""
+    """All nodes of the axon are tried; only for RA the node under the electrode is best."""
     problem = Problem(changed(line, {SPACING: 1.0}), afferent)
     found = design_any_node(problem, 3)
     assert abs(problem.axon_mm(3)[found.node, 0]) == pytest.approx(aside_mm)
@@ -125,7 +125,7 @@ def test_brute_force_over_the_node(line, changed, afferent, least, aside_mm):
     fired = problem.axon(3) @ found.weights
     assert fired[found.node] == pytest.approx(1)
     assert fired.max() <= 1 + 1e-6
-    # No other node would do better.
+    # No other node has a better kernel.
     for node in range(len(fired)):
         with contextlib.suppress(DesignError):
             other = design_kernel(problem, 3, node=node, given_up=0)
@@ -154,7 +154,7 @@ def test_confined_kernels_do_not_spill(profile, changed):
 
 
 def test_total_current_is_limited(profile, changed):
-    # With no limit this corner would take 6.8 mA.
+    # Without the limit, the kernel of this corner would need 6.8 mA.
     few = {"limits.total_ma": 5.0, "array.rows": 5, "array.columns": 5, SPACING: 0.25}
     limited = Problem(changed(profile, few), Afferent.RA)
     kernel = design_kernel(limited, 0, given_up=0)
@@ -196,12 +196,12 @@ def test_around_a_masked_electrode_it_is_the_best_of_what_is_left(line, changed,
 
 
 def optimum(problem, site, spill=0.2, given_up=None):
-    """Return the least worst other of a site's whole programme, by scipy's linprog on all rows.
+    """Return the smallest off-target of a site, computed with scipy's linprog and all rows.
 
-    Written apart from the package: minimize t over (w, t), with magnitudes where the total is
-    limited. Under a spill bound that cannot be kept, the larger of both is minimized. With a share
-    of the least worst other given up, the least spill that this allows is returned.
-    """
+    The linear program shares no code with the package. It minimizes t over t, weights w and, if the
+    total is limited, their magnitudes. If the spill bound cannot be kept, it minimizes the larger
+    of off-target and spill. With ``given_up``, a relative increase of off-target, return the
+    smallest spill that this increase allows."""
     total, _ = limits_ma(problem.profile)
     count = problem.electrodes
     magnitudes = count if np.isfinite(total) else 0
@@ -212,7 +212,7 @@ def optimum(problem, site, spill=0.2, given_up=None):
     free = [(None, None) if each in problem.profile.driven else (0, 0) for each in range(count)]
 
     def minimum(other_most=None, own_most=None):
-        """Minimize what has no bound."""
+        """Minimize off-target or spill, whichever has no bound; the larger, if neither has one."""
         upper, bound = [], []
         for rows, most in (
             (problem.other, other_most),
