@@ -1,4 +1,4 @@
-"""Potentials and the AF matrix: closed forms, signs, superposition, every shape of electrode."""
+"""Potentials and AF matrices of all electrode shapes: closed forms, signs and superposition."""
 
 from dataclasses import replace
 
@@ -37,8 +37,8 @@ def test_shape_and_sign_at_the_target(name, afferent):
     count = len(profile.electrodes)
     assert matrix.shape == (count, count)
     own = np.diag(matrix) * (-1 if afferent is Afferent.RA else 1)
-    # In the hole of a ring it is the other way around, down to .7 of the ring's radius: on its axis
-    # the second derivative of 1/√(r² + z²) changes sign at z = r/√2.
+    # In the hole of a ring, signs are reversed down to 0.7 of its radius: on the axis, the second
+    # derivative of 1/√(r² + z²) changes sign at z = r/√2.
     rings = [which for (shape, _), which in profile.electrodes.kinds.items() if shape == "annulus"]
     for which in rings:
         assert np.all(own[which] < 0)
@@ -47,7 +47,7 @@ def test_shape_and_sign_at_the_target(name, afferent):
 
 
 def test_the_paper_s_own_matrix():
-    """Eq. 3, 5 and 9 by hand: the SAI target under the middle of seven lines."""
+    """The row of the SAI target under the middle of seven lines follows Eq. 3, 5 and 9."""
     profile = load_profile("line-7")
     row = af_matrix(profile, targets(profile, Afferent.SAI))[3]
     x = np.arange(-3, 4)
@@ -77,7 +77,7 @@ def test_an_active_ending_is_mcneal_s_end_node(profile, changed):
 
 
 def test_depth_selection_of_figure_9():
-    """Anodes around a cathode: the AF is gone in the deep. Cathodes around it: it reaches there."""
+    """Anodes beside a cathode reduce, and cathodes increase, the ratio of deep to shallow AF."""
     profile = load_profile("line-7")
     flat = targets(profile, Afferent.SAI)
     shallow, deep = (af_matrix(profile, replace(flat, depth_mm=each))[3] for each in (0.7, 2.0))
@@ -124,7 +124,7 @@ def test_a_ring_s_potential_is_that_of_its_field(profile, changed, depth_mm):
 
 
 def test_paper_nodes_run_from_minus_five_to_five():
-    """Two pitches beyond the outer lines; RA a pitch apart, the others as in the file."""
+    """Nodes reach two pitches beyond the outer lines, one per pitch for RA, ten for the others."""
     profile = load_profile("line-7")
     for afferent, apart_mm in zip(Afferent, (1.0, 0.1, 0.1), strict=True):
         nodes = everywhere(profile, afferent)
@@ -150,11 +150,11 @@ def test_an_axon_starts_under_its_electrode(profile, afferent):
     assert sets[0].depth_mm == activating_function.depth_mm(profile.skin, afferent)
     if afferent is Afferent.RA:
         assert [each.ending for each in sets] == ["passive"] + [None] * (len(sets) - 1)
-        # Down to two pitches below the ending, .1 mm apart.
+        # The axon descends two pitches below the ending, with nodes 0.1 mm apart.
         assert [each.depth_mm for each in sets] == pytest.approx(0.7 + 0.1 * np.arange(41))
     else:
         assert len(sets) == 1
-        # As far as nodes are looked at: 9 mm either way, a pitch beyond the outer electrodes.
+        # The axon extends 9 mm to both sides, a pitch beyond the outer electrodes.
         expected = np.linspace(-9, 9, 181)
         assert np.sort(sets[0].position_mm[:, 0]) == pytest.approx(expected)
         assert set(sets[0].position_mm[:, 1]) == {profile.electrodes.position_mm[27, 1]}
@@ -181,7 +181,7 @@ def point_potential(x, y, z):
 
 
 def disc_potential(radius):
-    """Weber's equipotential disc as evenly spread complex point sources."""
+    """Return the potential of an equipotential disc (Weber), a sum of complex point sources."""
 
     def potential(x, y, z):
         distance = np.sqrt(x * x + y * y + (z + 1j * radius * NODES) ** 2)
@@ -191,7 +191,7 @@ def disc_potential(radius):
 
 
 def rectangle_potential(width, height):
-    """Point sources spread evenly over a rectangle, by Gauss's rule."""
+    """Return the potential of a uniform current over a rectangle, integrated by Gauss's rule."""
 
     def potential(x, y, z):
         u, v = COARSE[:, None] * width / 2, COARSE[None] * height / 2
@@ -201,7 +201,7 @@ def rectangle_potential(width, height):
 
 
 def annulus_potential_by_points(outer, inner):
-    """Point sources spread evenly over a ring, by Gauss's rule along the radius."""
+    """Return the potential of a uniform current over a ring, by Gauss's rule along the radius."""
     radii = (outer + inner) / 2 + (outer - inner) / 2 * COARSE
     turns = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     u, v = radii[:, None] * np.cos(turns), radii[:, None] * np.sin(turns)
@@ -230,13 +230,13 @@ def at(field, x, y, z):
 
 
 DIRECTIONS = [*np.eye(3), [0.6, -0.8, 0], [0.6, 0, 0.8], [2 / 3, -1 / 3, 2 / 3]]
-"""As many as a field has second derivatives."""
+"""Six directions, because a field has six different second derivatives."""
 
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize(("closed", "potential"), CLOSED)
 def test_closed_forms_against_quadrature_and_differences(closed, potential, place):
-    """Second differences of fourth order, of potentials by sums of point sources."""
+    """Derivatives agree with fourth-order differences of potentials summed over point sources."""
     field, expected = at(closed, *place), []
     for direction in DIRECTIONS:
         steps = STEP_MM * np.arange(-2, 3)[:, None] * np.array(direction)

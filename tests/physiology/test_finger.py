@@ -1,4 +1,4 @@
-"""A finger: as dense as its anatomy, the same from the same seed; its spikes."""
+"""Simulated finger: afferents by anatomy and seed, and their spikes."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -34,7 +34,7 @@ def model(small, request):
 
 
 def patterns(profile, seed, slots=8):
-    """Random currents that sum to zero and stay within the profile's limits, µA."""
+    """Return random currents, (S, E) µA, that sum to zero and keep the profile's limits."""
     random = np.random.default_rng(seed)
     raw = random.normal(size=(slots, len(profile.electrodes)))
     raw -= raw.mean(axis=1, keepdims=True)
@@ -139,7 +139,7 @@ def test_what_is_wrong_with_an_anatomy(tmp_path, small):
 
 @pytest.mark.parametrize("afferent", sample([Afferent.RA, Afferent.SAI]))
 def test_thresholds_of_bent_branches_that_no_fit_has_seen(profile, bank, afferent):
-    """Courses of a branched finger, under kernels, against the cable model."""
+    """Axon paths of a branched finger under kernels have the thresholds of the cable model."""
     one = Finger(profile, 1, "branched").populations[afferent]
     like = replace(FIBERS["fingertip"], end="passive")
     ending = one.axon_path_mm[:, 0, :2]
@@ -166,7 +166,7 @@ def finger():
 
 
 def slots(finger, count=3, current_ma=4.0, width_us=200, discharge_us=100):
-    """One electrode against all others, several times."""
+    """Return a sequence that drives one electrode against all others in several slots."""
     electrodes = len(finger.profile.electrodes)
     pattern = np.full(electrodes, -1000 * current_ma / (electrodes - 1))
     pattern[5] = 1000 * current_ma
@@ -222,7 +222,7 @@ def test_measures_of_what_was_felt(finger):
 
 @pytest.mark.parametrize("widths", [(200,), (100, 200, 500)])
 def test_many_slots_fire_what_each_fires_alone(model, widths):
-    """Slots come again, with other widths, too."""
+    """The slots include repeated patterns, and equal patterns of different widths."""
     finger = model.finger
     random, electrodes = np.random.default_rng(1), finger.rows[0].shape[1]
     current = np.rint(random.normal(0, 1500, (150, electrodes)))[np.arange(300) // 2]
@@ -246,7 +246,7 @@ def steps(mouse):
 
 
 def strongest(steps):
-    """Return the step of most slots among those of the highest level, which pulses open."""
+    """Return the step with the highest intensity; on a tie, the one with the most slots."""
     return max(steps, key=lambda step: (step.sequence.intensity, step.sequence.slots))
 
 
@@ -258,7 +258,7 @@ def test_steps_sequences_and_lists_of_them_give_the_same_response(mouse, steps):
     assert one.counts.sum() > 0
     assert (one.wanted, bare.wanted) == ((Afferent.RA,), tuple(Afferent))
     np.testing.assert_array_equal(one.active, strong.tactile.activation.any(axis=0))
-    # What is too faint for a pulse is in no sequence.
+    # A sequence has no slots for points that are too faint for a pulse.
     assert not (bare.active & ~one.active).any()
     assert bare.active.any()
     assert bare.quality.wrong_class == 0
@@ -266,12 +266,12 @@ def test_steps_sequences_and_lists_of_them_give_the_same_response(mouse, steps):
 
 
 def test_a_list_is_one_stretch_of_time(mouse, steps):
-    """Refractoriness goes on from sequence to sequence, and equal slots are computed once."""
+    """Sequences of a list follow each other, so refractoriness continues from one to the next."""
     feeling = mouse.feel(steps, seed=3)
     model = SpikeModel(mouse, 3)
     for step, spikes in zip(steps, feeling.spikes, strict=True):
         alone = model.fire(step.sequence)
         np.testing.assert_array_equal(spikes.time_us, alone.time_us)
-        # One product of a matrix and another differ in the last digit.
+        # Allow 2 differences, because rounding differs between matrix products of other sizes.
         assert np.count_nonzero(spikes.fired != alone.fired) <= 2
     np.testing.assert_array_equal(feeling.counts, mouse.feel(steps, seed=3).counts)

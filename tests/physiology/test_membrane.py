@@ -1,4 +1,4 @@
-"""The active fiber, and the driving functions that stand for it."""
+"""Cable model of a nerve fiber, and driving functions that approximate its thresholds."""
 
 from dataclasses import replace
 
@@ -24,16 +24,16 @@ from ..support.checks import raises
 from ..support.full import sample
 
 SPACING_MM = Fiber().internode_mm
-TRUNK = {"internode_mm": 0.33}  # 100 outer diameters
+TRUNK = {"internode_mm": 0.33}  # 100 outer diameters of the fiber
 
 
 def point_mv_per_ma(across_mm, depth_mm):
-    """Half space of 0.43 S/m under a point cathode: −ρ / (2π R)."""
+    """Return the potential in a half space of 0.43 S/m under a point cathode: −ρ / (2π R)."""
     return -1000 / (2 * np.pi * 0.43 * np.hypot(across_mm, depth_mm))
 
 
 def disc_mv_per_ma(across_mm, depth_mm, radius_mm=0.5):
-    """Half space under an equipotential disc cathode."""
+    """Return the potential in a half space of 0.43 S/m under an equipotential disc cathode."""
     near = np.hypot(across_mm - radius_mm, depth_mm)
     far = np.hypot(across_mm + radius_mm, depth_mm)
     return -1000 / (2 * np.pi * 0.43 * radius_mm) * np.arcsin(2 * radius_mm / (near + far))
@@ -48,7 +48,7 @@ def upright(source=disc_mv_per_ma, depth_mm=0.7, nodes=80, internode_mm=SPACING_
 
 
 def polarities(potential, fiber, step_us=5.0, **options):
-    """Thresholds in steps that serve where digits are of no account."""
+    """Return the cathodic and the anodic threshold, with coarse but fast time steps."""
     return [
         threshold_ma(potential, fiber, cathodic=cathodic, step_us=step_us, **options)
         for cathodic in (True, False)
@@ -56,7 +56,7 @@ def polarities(potential, fiber, step_us=5.0, **options):
 
 
 def fires_by_integration(potential, current_ma, width_us):
-    """The same equations, written out again per node and left to LSODA; ending active."""
+    """Return whether a fiber with an active ending fires, by a second implementation with LSODA."""
     nodes = potential.size
     axial_us = 1.98e-4 / (4 * 54.7 * SPACING_MM * 0.1 * 2.5 * 1.5e-4)
 
@@ -100,7 +100,7 @@ def test_an_action_potential_travels_unharmed():
     assert 85 < course[:, 20].max() < 100
     assert course[:, 50].max() == pytest.approx(course[:, 20].max(), rel=0.01)
     delay_us = 2.0 * (course[:, 50].argmax() - course[:, 20].argmax())
-    assert 5 < 30 * SPACING_MM * 1000 / delay_us < 15  # m/s; 3 to 5 per µm of diameter
+    assert 5 < 30 * SPACING_MM * 1000 / delay_us < 15  # m/s; 3 to 5 m/s per µm of diameter
     assert np.abs(course[-1, :40]).max() < 1
 
 
@@ -113,7 +113,7 @@ def test_an_independent_integrator_finds_the_same_threshold():
 
 @pytest.mark.parametrize("cathodic", sample([True, False]))
 def test_charge_rises_linearly_with_width(cathodic):
-    """Weiss' law within 3 %, from the shortest pulses to the customary 200 µs."""
+    """Weiss's law holds within 3 % for pulses of 20 to 200 µs."""
     widths_us = np.array([20.0, 50.0, 100.0, 200.0])
     fiber = Fiber(end="through")
     thresholds = np.array(
@@ -161,7 +161,7 @@ OFFERED = [
 
 
 def under_a_disc(fiber, depth_mm, beside_mm=0.0, reach_mm=6.0):
-    """Potential per mA along a fiber, flat or rising to its ending, under a cathode."""
+    """Return the potential per mA of a disc cathode along a flat fiber, or an upright one."""
     nodes = int(reach_mm / fiber.internode_mm)
     if fiber.end == "through":
         along = np.arange(-nodes, nodes + 1) * fiber.internode_mm
@@ -185,7 +185,7 @@ def test_potentials_add_up_and_a_constant_counts_for_nothing(fiber, end, width_u
 @pytest.mark.parametrize(("fiber", "end"), [each for each in OFFERED if each[0] != "mrg"])
 @pytest.mark.parametrize("width_us", sample([150.0, 100.0, 200.0], 3))
 def test_thresholds_of_the_cable_under_a_disc(fiber, end, width_us):
-    """Places, and a width, that no fit has seen."""
+    """Driving functions agree with the cable at places, and a width, that were not fitted."""
     like = replace(FIBERS[fiber], end=end)
     potentials = np.array(
         [s * under_a_disc(like, d, b) for d in (0.6, 1.1, 1.8) for b in (0.2, 0.7) for s in (1, -1)]
@@ -199,7 +199,7 @@ def test_thresholds_of_the_cable_under_a_disc(fiber, end, width_us):
 
 
 def test_a_bare_terminal_prefers_the_anode_as_much_as_was_measured():
-    """Kaczmarek 2000: cathodic over anodic thresholds of macaque RA afferents, 1.3 to 1.5."""
+    """Kaczmarek (2000) found cathodic over anodic thresholds of 1.3 to 1.5 for macaque RA."""
     like = replace(FIBERS["fingertip"], end="passive")
     potential = under_a_disc(like, 0.7)
     cathodic, anodic = (threshold_ma(potential, like, cathodic=each) for each in (True, False))
@@ -224,7 +224,7 @@ def test_highest_drive_grows_with_the_current_blocked_or_not(seed, block, factor
 @pytest.mark.parametrize("strong", sample([2.0, 3.0]))
 @pytest.mark.parametrize("gap_mm", sample([2.0, 3.0]))
 def test_an_anode_on_the_way_stops_the_spike_of_a_long_pulse(gap_mm, strong):
-    """The cable fires at the same current either way after 200 µs, but not after 500 µs."""
+    """An anode ahead of the spike doubles the threshold of 500 µs pulses, not of 200 µs pulses."""
     like, along = replace(FIBERS["trunk"], end="through"), np.arange(-24, 25) * 0.5
     cathode, anode = (
         -1000 / (2 * np.pi * 0.43) * disc_potential(np.abs(along - x), np.full(49, 0.9), 0.5)

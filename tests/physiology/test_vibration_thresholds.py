@@ -1,4 +1,4 @@
-"""Thresholds of the receptors: best frequencies, bands and slopes are those of their sources."""
+"""Vibration thresholds have the best frequencies, bands, slopes and levels of their sources."""
 
 import numpy as np
 import pytest
@@ -51,5 +51,5 @@ def test_slopes_far_from_the_best_frequency_are_those_of_the_four_channel_model(
 def test_levels_are_those_of_the_sources():
     assert db(threshold_um(Afferent.PC, 250)) == pytest.approx(-10)
     assert db(threshold_um(Afferent.SAI, 0)) == pytest.approx(28)
-    # What comes out for RA: several micrometers.
+    # RA's level follows from the intersection with PC at 40 Hz: several micrometers.
     assert 5 < threshold_um(Afferent.RA, 30) < 8
