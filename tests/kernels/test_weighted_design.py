@@ -198,10 +198,10 @@ def test_around_a_masked_electrode_it_is_the_best_of_what_is_left(line, changed,
 def optimum(problem, site, spill=0.2, given_up=None):
     """Return the smallest off-target of a site, computed with scipy's linprog and all rows.
 
-    The linear program shares no code with the package. It minimizes t over t, weights w and, if the
-    total is limited, their magnitudes. If the spill bound cannot be kept, it minimizes the larger
-    of off-target and spill. With ``given_up``, a relative increase of off-target, return the
-    smallest spill that this increase allows."""
+    The linear program shares no code with the package. Its variables are the maximum t, weights w
+    and, if the total is limited, magnitudes of w. If the spill bound cannot be kept, t is the
+    larger of off-target and spill. With ``given_up``, a relative increase of off-target, return
+    the smallest spill that this increase allows."""
     total, _ = limits_ma(problem.profile)
     count = problem.electrodes
     magnitudes = count if np.isfinite(total) else 0

@@ -30,7 +30,8 @@ NET_PC = 50 * 10**6
 LEVEL_KEPT_NS = 15 * NS
 """Time without current after which the ramp's level falls to zero."""
 LONGEST_SHARE_US = 40_000
-"""A sequence may use `STRONG_A_SECOND` and `MEAN_UA` for its period, but at most for this time."""
+"""`STRONG_A_SECOND` and `MEAN_UA` also limit each single sequence: over its period, or over this
+time if the period is longer."""
 TOTAL_MA = 10
 DENSITY_UC_CM2 = 100
 PC_MM2 = 10**4

@@ -13,8 +13,7 @@ SHARED = (1 + SPREAD) / (1 - SPREAD)
 """Largest ratio of delivered to planned current, for electrodes that share a polarity: 1.353.
 
 A single source divides its current among them by their impedances, which differ by up to ±`SPREAD`
-in the emulated skin. A single cathode or anode carries the complete current of the source, which
-is known.
+in the emulated skin. A single cathode or anode carries the complete current of the source.
 """
 ROUNDING_UA = 0.5
 """Rounding error of currents in delivery logs, which hold integer µA."""

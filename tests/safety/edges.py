@@ -143,7 +143,7 @@ def mean_current(draft, oracle, rng, beyond):
 
 
 def _charged(draft, oracle, site, charge_pc, rng, sign=None):
-    """Pass a charge through one electrode, in pulses of the largest charge and smaller last ones.
+    """Pass a charge through one electrode, in the largest allowed pulses and a smaller rest.
 
     The net charge has the sign ``sign``; without ``sign``, pulses alternate.
     """

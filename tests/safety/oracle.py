@@ -88,8 +88,8 @@ class Level:
         return by_time if by_time < self._strong_ppb else max(self._ppb, self._strong_ppb)
 
     def most(self, time_ns):
-        """Return the largest strength with which a sequence may begin at a time. The first sequence
-        may only have the tolerance for rounding errors."""
+        """Return the largest strength with which a sequence may begin at a time. For the first
+        sequence, only the tolerance for rounding errors is allowed."""
         if not self.begun:
             return FREE_RISE
         return self.at(time_ns) + FREE_RISE + self._bounds.late_rise
@@ -176,7 +176,7 @@ class Oracle:
         return broken
 
     def wrote(self, sent, clock_ns):
-        """Record that the sequence with this value of `newest` was written, to raise the level."""
+        """Record that a sequence was written and raises the level; ``sent`` is its `newest`."""
         clock_ns = max(clock_ns, self.clock_ns or 0)
         ppb, strong_ppb, current_ns = sent
         self._level.sent(ppb, strong_ppb, clock_ns, current_ns)

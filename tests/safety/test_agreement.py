@@ -25,7 +25,7 @@ def test_gate_and_oracle_agree():
 
 
 class Careless:
-    """Gate that ignores the rule ``overlooks``."""
+    """Gate that does not enforce the rule in ``overlooks``."""
 
     overlooks = None
 

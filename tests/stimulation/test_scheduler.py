@@ -167,7 +167,7 @@ def test_successive_points_are_apart(count):
 
 
 def natural_image():
-    """Return an image of RA and SAI points, each with another activation, so that slots differ."""
+    """Return an image of RA and SAI points with different activations, so that all slots differ."""
     rows = np.zeros((3, 64), np.float32)
     rows[Afferent.RA, ::3] = np.linspace(1, 0.3, 22)
     rows[Afferent.SAI, 1::5] = np.linspace(0.2, 0.9, len(rows[1, 1::5]))
