@@ -36,6 +36,7 @@ _SCRIPT = re.compile(
 """A superscript, or a subscript of a single or capital letter, as in 10^6, a^(n+1) and x_1."""
 _SCRIPT_CELLS = re.compile("⠰?([⠔⠢])(?:(⠼[⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚]+(?:[⠂⠲][⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚]+)*)|⠣((?:(?!⠜).)+)⠜|(.))")
 _NUMBER_AT_END = re.compile("⠼[⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚⠂⠲]+$")
+_DIGIT_AT_START = re.compile("^([⠂⠲]*)(?=[⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚])")
 _LETTER_AT_END = re.compile(f"(?<![^{BLANK}])([{''.join(_LETTERS.values())}])$")
 _MINUS = "⠐⠤"
 
@@ -161,15 +162,20 @@ def encode_scripts(line: str, encode: Translator, encode_item: Translator) -> st
     contents ``encode_item`` translates."""
     cells, end = "", 0
     for script in _SCRIPT.finditer(line):
-        before, after = line[script.start() - 1], line[script.end() :][:1]
         item = encode_item(script[2].strip("()")).replace("⠐⠤", "⠤").replace("⠤", _MINUS)
-        # Without brackets, a following digit, or letter with a digit's cell, would join the item.
-        if script[2][0] in "(-−" or (after and after in "0123456789abcdefghij"):
+        if script[2][0] in "(-−":
             item = f"⠣{item}⠜"
-        cells += encode(line[end : script.start()]) + _GRADE_1 * (not before.isdigit())
-        cells += _LEVELS[script[1]] + item
+        cells = _joined(cells, encode(line[end : script.start()]))
+        cells += _GRADE_1 * (not line[script.start() - 1].isdigit()) + _LEVELS[script[1]] + item
         end = script.end()
-    return cells + encode(line[end:])
+    return _joined(cells, encode(line[end:]))
+
+
+def _joined(before: str, after: str) -> str:
+    """Join cells. An indicator goes before a letter that would read as a digit of a number."""
+    if _NUMBER_AT_END.search(before):
+        after = _DIGIT_AT_START.sub(r"\1⠰", after)
+    return before + after
 
 
 def decode_scripts(cells: str, decode: Translator) -> str:
