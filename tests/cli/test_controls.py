@@ -44,7 +44,7 @@ def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
     wait_for_the_run(process)
     for key, words in (
         (b"+", "intensity 0.15"), (b"\x1b[A", "intensity 0.20"), (b"-", "intensity 0.15"),
-        (b" ", "paused"), (b" ", "goes on"), (b"m", "mode SAI"), (b"0", "intensity 0.00"),
+        (b" ", "paused"), (b" ", "resumed"), (b"m", "mode SAI"), (b"0", "intensity 0.00"),
     ):  # fmt: skip
         os.write(keys, key)
         wait_for(process, words)
@@ -55,7 +55,7 @@ def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
     assert words.pop().startswith("counted by the board")
     assert words == [
         "intensity 0.10", "mode RA", "intensity 0.15", "intensity 0.20", "intensity 0.15", "paused",
-        "goes on", "mode SAI", "intensity 0.00", "key q",
+        "resumed", "mode SAI", "intensity 0.00", "key q",
     ]  # fmt: skip
 
 

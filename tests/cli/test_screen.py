@@ -179,7 +179,7 @@ def test_where_nothing_is_drawn(monkeypatch, terminal, dumb, asked, plain):
     screen.event(Resumed(2_500_000_000))
     screen.close()
     told = [each for each in console.file.getvalue().splitlines() if not each.startswith("keys")]
-    assert told == ["a b, p, emulator:", "1.5 s: paused", "2.5 s: goes on"] * plain
+    assert told == ["a b, p, emulator:", "1.5 s: paused", "2.5 s: resumed"] * plain
 
 
 def test_the_summary_says_what_was_counted():

@@ -324,7 +324,7 @@ def test_the_user_s_request_is_followed_and_reported(play, board):
     assert was.current_ua[0, was.site[0]] < 0 < now.current_ua[0, now.site[0]]
     assert [(time_ns // MS, words) for time_ns, words in run.told[:-1]] == [
         (0, "intensity 0.50"), (0, "mode RA"), (800, "paused"), (1_000, "intensity 0.25"),
-        (1_000, "goes on"), (1_600, "mode SAI"),
+        (1_000, "resumed"), (1_600, "mode SAI"),
     ]  # fmt: skip
     assert run.told[-1][0] == 2_400 * MS
 
