@@ -1,4 +1,4 @@
-"""Small sequences, and boards to send them to."""
+"""Fixtures for boards: limits, small sequences, emulators, and a line with faults."""
 
 import contextlib
 import os
@@ -32,16 +32,16 @@ SECOND = 10**9
 
 __all__ = ["start_cortex_m3", "start_firmware"]
 FIRMWARES = [pytest.param(kind, marks=pytest.mark.long) for kind in ("link C", "link M3")]
-"""Kinds of `hosted`."""
+"""Kinds of the fixture `hosted` that run the C firmware, on this machine and on a Cortex-M3."""
 
 
 @pytest.fixture(autouse=True)
 def claimed_time(request, monkeypatch):
-    """Let gate and emulators take time as sequences claim it: what is tested is what drivers do.
+    """Let the gate use the times stated in sequences, and gate, emulators and oracle have no ramp.
 
-    Nor do currents rise: gate, emulators and oracle take any intensity after the silent first.
-    A test of the gate on the machine's clock is marked ``wall_clock``; those of the contract keep
-    the rise.
+    These tests are about drivers. After a first sequence with zero intensity, they may send any
+    intensity. Tests of `DriverContract` keep the ramp of the gate; tests marked ``wall_clock`` keep
+    the machine's clock and all ramps.
     """
     if "wall_clock" not in request.keywords:
         monkeypatch.setattr("smarttouch.boards.open.Board", partial(Board, claimed_time=True))
@@ -53,7 +53,7 @@ def claimed_time(request, monkeypatch):
 
 @pytest.fixture(scope="session")
 def make_limits():
-    """Return a maker of limits for some number of electrodes."""
+    """Return a function that makes limits for a number of electrodes."""
 
     def make(electrodes=8):
         return SafetyLimits(
@@ -66,7 +66,7 @@ def make_limits():
 
 @pytest.fixture(scope="session")
 def make_sequence():
-    """Return a maker of balanced sequences: one cathode against all others in each slot."""
+    """Return a function that makes balanced sequences, in each slot one cathode against all."""
 
     def make(step=1, *, electrodes=8, slots=4, period_us=10_000, level_ua=700, **other):
         site = np.arange(slots, dtype=np.uint16) % electrodes
@@ -81,7 +81,7 @@ def make_sequence():
             "discharge_us": np.full(len(site), 50, np.uint16),
             "site": site,
             "period_us": period_us,
-            # The first of a run is silent, and each is a second after the one before.
+            # Step 0 has zero intensity; steps are one second apart.
             "intensity": float(step > 0),
             "time_ns": step * SECOND,
         }
@@ -92,11 +92,11 @@ def make_sequence():
 
 @pytest.fixture
 def start_emulator():
-    """Return a starter of emulator processes by hand: the process and its port."""
+    """Return a function that starts an emulator, and returns its process and port name."""
     with starter() as start:
 
         def start_one(*arguments, electrodes=8, output="weighted", protocol="link"):
-            # Time is what sequences claim, see above: of a board, too.
+            # As `claimed_time` says, the board has no ramp.
             arguments = ("ramp_ms=0", *arguments) if protocol == "link" else arguments
             if not any(option.startswith("linger=") for option in arguments):
                 arguments = ("linger=2", *arguments)
@@ -109,7 +109,7 @@ def start_emulator():
 
 
 class KajimotoPort:
-    """A port of a kit of 61 electrodes that keeps what is written to it."""
+    """Simulated port of a 61-electrode kit, which records the bytes written to it."""
 
     timeout, is_open = 0.05, True
 
@@ -117,7 +117,7 @@ class KajimotoPort:
         self.heard, self.incoming = bytearray(), bytearray()
 
     def packets(self):
-        """Return the packets between the zeros of opening and of closing."""
+        """Return the packets between the zero packets of opening and closing."""
         ends = bytes(61) + bytes([0xFF]) + bytes(61)
         heard, size = bytes(self.heard), len(ends)
         assert heard[:size] == heard[-size:] == ends
@@ -145,7 +145,7 @@ class KajimotoPort:
 
 @pytest.fixture
 def port(monkeypatch):
-    """Return the port that is opened next."""
+    """Let the next driver that opens a port get this `KajimotoPort`."""
     port = KajimotoPort()
     monkeypatch.setattr("smarttouch.boards.driver.open_port", lambda *_: port)
     monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
@@ -153,17 +153,17 @@ def port(monkeypatch):
 
 
 def pour(ends, data):
-    """Write what fits; what nobody takes is lost."""
+    """Write as much as fits; drop bytes that nobody reads."""
     for end in ends:
         with contextlib.suppress(BlockingIOError):
             os.write(end, data)
 
 
 class FaultyLine:
-    """A line between host and board on which bytes get lost, and which can be pulled out.
+    """Serial line between host and board that can change bytes and be unplugged.
 
-    What becomes of each piece of bytes, ``to_board`` and ``to_host`` say. It has real-time
-    priority, where that is allowed: bytes are not held up on it.
+    ``to_board`` and ``to_host`` are functions: each gets a piece of bytes, and returns the bytes
+    that arrive. The line's thread has real-time priority if allowed, so that it delays no bytes.
     """
 
     def __init__(self, behind, path):
@@ -187,7 +187,7 @@ class FaultyLine:
         self._thread.start()
 
     def plug_in(self):
-        """Let the port be there, under the same name as ever."""
+        """Create the port, each time under the same name."""
         master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(master, False)
@@ -197,7 +197,7 @@ class FaultyLine:
         self.path.symlink_to(os.ttyname(slave))
 
     def pull_out(self):
-        """Let the port be gone."""
+        """Remove the port, as if the cable were pulled."""
         with self._lock:
             ends, self._ends = self._ends, None
             if ends is not None:
@@ -210,7 +210,7 @@ class FaultyLine:
     def _pump(self):
         while not self._closing:
             self._come.poll(0.05)
-            # What is written together comes together.
+            # Wait for the rest of a write, so that each piece is a complete write.
             time.sleep(0.0002)
             with self._lock:
                 near = [] if self._ends is None else [self._ends[0]]
@@ -232,13 +232,13 @@ class FaultyLine:
 
 
 class Hosted:
-    """A board behind a line with faults, to which anodic points can be sent."""
+    """Board behind a `FaultyLine`, with a method to send anodic pulses."""
 
     def __init__(self, kind, start_emulator, start_firmware, start_cortex_m3, folder, monkeypatch):
         monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
-        # An eTactileKit may have another firmware than the usual one, a link board one in C, on
-        # this machine or a Cortex-M3.
+        # The second word of a kind is the firmware: a version for an eTactileKit; C on this machine
+        # or on a Cortex-M3 (M3) for a link board.
         kind, _, firmware = kind.partition(" ")
         if firmware == "C":
             _, port = start_firmware(f"--books={folder}", "--ramp-ms=0")
@@ -258,9 +258,9 @@ class Hosted:
         self.step = 0
 
     def send(self, times=1, level_ua=1000):
-        """Send the next sequence, another level each time; the first after a loss is silent.
+        """Send a sequence with a new level; the first one, also after a loss, has zero intensity.
 
-        What this computer was too slow for is sent anew.
+        A sequence that this computer sent too late is sent again.
         """
         while True:
             self.step += 1
@@ -273,7 +273,7 @@ class Hosted:
                 self.board.send(sequence, times)
             except BoardRestartedError as error:
                 self.step = 0
-                # A watchdog restarts its board where this computer has paused the program.
+                # The watchdog sets its board to zero when this computer pauses the program.
                 if not isinstance(error, SequenceLateError) and "was paused" not in str(error):
                     raise
             else:

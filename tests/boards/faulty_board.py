@@ -1,6 +1,6 @@
 """An emulated board with a fault: ``faulty_board.py FAULT URL-FOR-THE-EMULATOR``.
 
-It delivers what was not sent, or reports that it has.
+The board delivers pulses that were not sent, or reports false values.
 """
 
 import sys
@@ -16,7 +16,7 @@ fault = sys.argv.pop(1)
 
 
 def entering(enter):
-    """Deliver each slot twice, or leave another value in the books."""
+    """Wrap `DeliveryLog.enter`: record each slot twice, or falsify a counter."""
 
     def entered(books, *given, **named):
         for _ in range(1 + (fault == "twice")):
@@ -29,7 +29,7 @@ def entering(enter):
 
 
 def after_zero(report):
-    """Deliver one more slot between any two reports after a stop."""
+    """Wrap `_report`: each report after a stop counts one more slot."""
 
     def reported(board):
         board.books.slots += board._refusing is not None
@@ -39,7 +39,7 @@ def after_zero(report):
 
 
 def beside(pulses):
-    """Pulse output 5, too, wherever any is pulsed."""
+    """Wrap `_pulses`: output 5 fires whenever any output fires."""
 
     def pulsed(board):
         found = list(pulses(board))

@@ -1,5 +1,5 @@
-"""Waiting for what an emulator's process does, for as long as a busy machine takes; and runs
-of other processes, for tests that stop them: forks with a board that notes its zero."""
+"""Functions that wait for an emulator on a busy machine, and forked processes, each with a
+simulated board, for tests that stop processes."""
 
 import contextlib
 import os
@@ -18,11 +18,11 @@ from ..support.runs import HANGS_S, until
 __all__ = ["HANGS_S", "until"]
 
 ENDED_S = 1.0
-"""Whoever writes nothing for that long has ended."""
+"""Time without a new state file after which an emulator has ended."""
 
 
 def deliver(board, *sequences, times=1):
-    """Send sequences, each once the board has done with the one before."""
+    """Send sequences one after another, each when the board has delivered the one before."""
     for sequence in sequences:
         board.send(sequence, times)
         board.drain()
@@ -30,7 +30,7 @@ def deliver(board, *sequences, times=1):
 
 @contextlib.contextmanager
 def starter():
-    """Give a starter of processes, forks if nothing else is said; in the end they are killed."""
+    """Yield a function that starts processes, by default as `Forked`; kill them all at the end."""
     started = []
 
     def start(command, kind=Forked, **options):
@@ -47,12 +47,12 @@ def starter():
 
 
 def fresh_state(folder):
-    """Return the state in an emulator's books once all that came before this call is in it."""
+    """Return the counters of an emulator, complete up to the time of this call."""
 
     def written():
         return (folder / STATE_FILE).stat().st_mtime_ns
 
-    # The first to come may have been begun before.
+    # The emulator may have collected the first state before this call: wait for a second one.
     for _ in range(2):
         before, given_up = written(), time.monotonic() + ENDED_S
         while written() == before and time.monotonic() < given_up:
@@ -62,12 +62,12 @@ def fresh_state(folder):
 
 PATIENCE_S = 20
 ANSWERED_S = 0.2
-"""Time that a thread of a run has to write its answer before the process ends."""
+"""Time for the thread of the run registry to write its answer before the process ends."""
 
 
 @dataclass(eq=False)
 class Display:
-    """What the shutdown of a process knows of a board."""
+    """Substitute for a board, which records each call that sets it to zero."""
 
     budget_ua: int = 10_000
     announced: bool = True
@@ -96,9 +96,9 @@ class Display:
 
 @contextlib.contextmanager
 def in_child(work):
-    """Do something in a forked process, to whose end the block may come; yield its number.
+    """Run `work` in a forked process; yield the process id once `work` has called its argument.
 
-    It exits with what `work` returns, or the code of its SystemExit.
+    The exit code is that of `work`. At the end of the block the process is killed.
     """
     ready, begun = os.pipe()
     child = os.fork()
@@ -125,7 +125,7 @@ def in_child(work):
 
 
 def until_zero(board, seconds=PATIENCE_S):
-    """Return work that opens a board and waits until it was put at zero: exit code 7."""
+    """Return work that opens a board and waits for zero: exit code 7, or 98 without zero."""
 
     def work(say):
         with board:
@@ -140,5 +140,5 @@ def until_zero(board, seconds=PATIENCE_S):
 
 
 def exit_code(child):
-    """Return the exit code of a child, once it has ended."""
+    """Wait until a child process has ended; return its exit code."""
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])

@@ -1,4 +1,4 @@
-"""An eTactileKit in this process, on a clock that the test sets, without waiting."""
+"""An emulated eTactileKit and its driver in this process, with a simulated clock."""
 
 import random
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ US, MS = 1000, 1_000_000
 
 
 class ManualClock:
-    """Time that passes only by being waited for, and then a little more, as on a computer."""
+    """Simulated clock: only waits advance it, by a little too much, as on a real computer."""
 
     def __init__(self, seed=1, late_us=200):
         self.time_ns = 0
@@ -39,9 +39,9 @@ class ManualClock:
 
 
 class ManualPort:
-    """A line to a firmware: bytes take 100 µs each way and ``wire_us`` more on average.
+    """Simulated port of an emulated firmware; bytes take 100 µs plus ``wire_us`` on average.
 
-    The board's time is that of the host plus ``phase_ns``, times 1 plus ``drift``.
+    The board's clock shows (host time + ``phase_ns``) * (1 + ``drift``).
     """
 
     def __init__(self, firmware, clock, phase_ns=0, drift=0.0, wire_us=100.0):
@@ -52,7 +52,7 @@ class ManualPort:
         self.said = bytearray()
 
     def arm(self):
-        """Nothing watches it: this program ends with the board."""
+        """Do nothing: no watchdog is needed, because host and board end together."""
 
     def board_ns(self, time_ns):
         return int((time_ns + self.phase_ns) * (1 + self.drift))
@@ -102,7 +102,7 @@ class ManualPort:
 
 @dataclass
 class ScanBooks(DeliveryLog):
-    """Books that keep what each scan did: the height in counts of each electrode it pulsed."""
+    """Delivery log that also keeps the height in counts of each pulsed electrode, for each scan."""
 
     scans: dict = field(default_factory=dict)
 
@@ -112,12 +112,12 @@ class ScanBooks(DeliveryLog):
 
 
 def proved(sequence, times=1, number=0, due_ns=0, late_ns=LATE_NS):
-    """Return a sequence as the gate would prove it: what is tested is what drivers do."""
+    """Return a sequence as if the gate had proved it, so that a test needs only the driver."""
     return unproved(sequence, times, number, due_ns, due_ns + late_ns)
 
 
 class ManualKit:
-    """A driver and its board, in one thread; the line is not opened yet if that is said."""
+    """Driver and emulated board in one thread; with ``opened=False`` the test opens the board."""
 
     def __init__(
         self, patch, limits, firmware="71adee2", seed=1, late_us=200, finger=None,
@@ -143,21 +143,21 @@ class ManualKit:
             self.host.capabilities = self.driver.open(self.line, limits)
 
     def run(self, jobs):
-        """Let the driver write jobs: when they come by its clock, sequence, times."""
+        """Write jobs (host time in ns, sequence, times), then zero; return the host's report."""
         for number, (time_ns, sequence, times) in enumerate(jobs, 1):
             self.clock.time_ns = max(self.clock.time_ns, time_ns)
-            # It is due when there is room for it.
+            # `write` returns when the driver can take another sequence: that one is due now.
             self.driver.write(proved(sequence, times, number, self.clock.time_ns))
         self.driver.zero()
         return self.host.report()
 
     def assert_located(self):
-        """Assert that the last scan began within the bounds that the driver knows."""
+        """Assert that the last scan began within the time span that the driver estimated."""
         lock, port = self.driver._lock, self.port
         began_ns = self.board._started_ns / (1 + port.drift) - port.phase_ns
         scan = lock.scan(lock._near(began_ns))
         assert scan.early - 1000 <= began_ns <= scan.late + 1000
 
     def scans(self):
-        """Return what each scan with pulses did, in order."""
+        """Return a set of (electrode, height in counts) for each scan with pulses, in order."""
         return [frozenset(each.items()) for _, each in sorted(self.books.scans.items())]

@@ -1,4 +1,4 @@
-"""Several threads open, halt, stop and close a board, and a Ctrl-C comes at any instant."""
+"""Boards that several threads open, halt, stop and close, or that Ctrl-C interrupts."""
 
 import gc
 import os
@@ -30,8 +30,8 @@ LIMITS = SafetyLimits(
 
 
 class Unlined(Driver):
-    """A driver without a line, whose board may have a finger on it: it notes what it does, and does
-    something just before current flows."""
+    """Driver without a port, which records its actions. It calls ``before`` just before current
+    flows."""
 
     opened = 0
     can = Capabilities(4, "weighted", 5.0, 8, time_to_zero_ms=0.0, firmware="plain")
@@ -79,7 +79,7 @@ def test_a_board_that_two_threads_open_at_once_is_announced_and_opened_once(monk
 
     def slow(driver, *given):
         if within.is_set():
-            raise BoardError("as of a port that is in use")
+            raise BoardError("the port is in use")
         within.set()
         assert goes_on.wait(PATIENCE_S)
         return own(driver, *given)
@@ -99,7 +99,7 @@ def test_a_board_that_two_threads_open_at_once_is_announced_and_opened_once(monk
 
 
 def test_a_board_that_is_interrupted_when_it_is_open_is_closed(monkeypatch):
-    """As by Ctrl-C: it would be open, could drive, and be announced no more."""
+    """Otherwise the board could drive a finger without an entry in the run registry."""
     looks = []
 
     def interrupted(line):
@@ -107,7 +107,7 @@ def test_a_board_that_is_interrupted_when_it_is_open_is_closed(monkeypatch):
         if len(looks) == 3:
             raise KeyboardInterrupt
 
-    # The last look of `open`, when all else is done.
+    # The third check is the last step of `open`.
     monkeypatch.setattr(Line, "require_running", interrupted)
     board = plain()
     with pytest.raises(KeyboardInterrupt):
@@ -117,7 +117,7 @@ def test_a_board_that_is_interrupted_when_it_is_open_is_closed(monkeypatch):
 
 @pytest.mark.parametrize("how", ["stop", "halt", "close"])
 def test_a_stop_that_is_interrupted_while_it_waits_still_ends_in_zero(monkeypatch, how):
-    """As by Ctrl-C; a write under way is waited for."""
+    """Ctrl-C comes while the stop waits for the end of a write."""
     signals = [signal.SIGINT]
     with plain() as board:
         with monkeypatch.context() as interrupted:
@@ -140,7 +140,7 @@ def test_ctrl_c_waits_for_the_end_of_a_write(make_sequence):
 @pytest.mark.parametrize("host_timed", [False, True])
 @pytest.mark.parametrize("broken", [RuntimeError("it broke"), BoardError("it cannot make this")])
 def test_a_driver_that_breaks_says_so(monkeypatch, make_sequence, host_timed, broken):
-    """In a sender thread it is put at zero at once, and the next call says so."""
+    """If the sender thread fails, it sets the board to zero, and the next call raises the error."""
 
     def write(*_):
         raise broken
@@ -163,9 +163,9 @@ OUTPUT = Output(kind="one-against-all")
 
 @pytest.fixture
 def deaf_port():
-    """A port on which nobody answers."""
+    """Return the name of a port on which no device answers."""
     line = PtyLine()
-    # Held open, so that what is written is kept and nobody hangs up.
+    # Keep the device side open: otherwise the port hangs up and drops what is written.
     end = os.open(line.name, os.O_RDWR | os.O_NOCTTY)
     yield line.name
     os.close(end)
@@ -173,7 +173,7 @@ def deaf_port():
 
 
 class Opening(threading.Thread):
-    """Opens a board, and keeps what that raised."""
+    """Thread that opens a board, and keeps the error if that fails."""
 
     def __init__(self, board):
         super().__init__(daemon=True)
@@ -228,7 +228,7 @@ def test_halting_ends_the_start_of_an_emulator(monkeypatch, tmp_path):
 
 
 def test_an_emulator_ends_with_its_board():
-    """It starts with the driver, so also a board that is never opened has one."""
+    """The emulator starts with the driver, so that a board that is never opened has one, too."""
     unopened = make_board("emulator:", KIT_LIMITS)
     process = unopened.driver.process._process
     assert process.poll() is None
@@ -246,7 +246,7 @@ def test_an_emulator_ends_with_its_board():
 def test_a_write_that_meets_a_stop_is_over_before_zero_or_followed_by_it(
     monkeypatch, make_sequence, long
 ):
-    """As of a driver that was never made for that, with a line that takes its time."""
+    """The write does not notice the stop. If ``long``, the stop gives up waiting for the write."""
     if long:
         monkeypatch.setattr("smarttouch.boards.driver.WRITE_S", 0.05)
     writing, goes_on = threading.Event(), threading.Event()
@@ -268,7 +268,7 @@ def test_a_write_that_meets_a_stop_is_over_before_zero_or_followed_by_it(
         goes_on.set()
         for each in (sender, stopper):
             each.join(20)
-        # Who writes and who stops put it at zero.
+        # The thread that writes and the thread that stops both set the board to zero.
         assert board.driver.did == (
             ["zero", "current", "zero"] if long else ["current", "zero", "zero"]
         )

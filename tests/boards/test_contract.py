@@ -1,4 +1,4 @@
-"""The contract of drivers, run over each way to reach a board."""
+"""The tests of `DriverContract`, for each kind of board."""
 
 import time
 from dataclasses import replace
@@ -32,16 +32,16 @@ from ..support.full import WHOLE
 
 
 def decoded(written, firmware, extra_us=0):
-    """Return the pulses that a kit's emulated firmware gives by bytes that came at these times.
+    """Return the pulses that a kit's emulated firmware delivers for (time_ns, bytes) pairs.
 
-    It rests for ``extra_us`` longer after each than is asked for.
+    After each pulse the firmware rests ``extra_us`` longer than requested.
     """
     found = []
 
     def pulse(
         number, electrode, current_ua, width_us, start_ns, *, among, rest_us, more=False, **_
     ):
-        # Without skin, the others share its current. What comes before it is of the self-test.
+        # Without skin, all others share the return current. ``more`` marks the self-test's current.
         current = [-current_ua / (among - 1)] * among
         current[electrode] = current_ua
         if current_ua and not more:
@@ -56,7 +56,7 @@ def decoded(written, firmware, extra_us=0):
 
 
 def pulses_in_books(folder):
-    """Return the pulses that an emulated link board has delivered."""
+    """Return the pulses in the delivery log of an emulated link board."""
     slots = np.concatenate([read_slots(folder), read_slots(folder, recharges=True)])
     slots = slots[np.argsort(slots["time_us"], kind="stable")]
     found = []
@@ -78,8 +78,8 @@ DIFFERS = {
 
 
 def without_repeating(kind):
-    """Decorate a contract over what differs from another in a part: tests that show no more than
-    the other's run in CI alone."""
+    """Decorate the contract of a variant of another board: without ``pytest --full``, run only the
+    tests in `DIFFERS` and those of the class itself."""
     for name in dir(kind):
         if name.startswith("test_") and name not in {*DIFFERS, *vars(kind)} and not WHOLE:
             setattr(kind, name, None)
@@ -87,15 +87,15 @@ def without_repeating(kind):
 
 
 class Contract(DriverContract):
-    """The contract of boards, judged by the books of an emulator.
+    """The contract of drivers, checked with the delivery log of an emulator.
 
-    Drivers subclass this with a fixture `url` and what their boards can do.
+    Subclasses have a fixture `url`, and attributes that state the abilities of their boards.
     """
 
     output_kind = "weighted"
-    # The most that may be without a rise.
+    # The largest intensity that the ramp allows directly after zero.
     intensity, level_ua = 0.2, 480
-    # Each is a process of its own.
+    # Each instant needs a process of its own.
     instants = 8 if WHOLE else 3
 
     @pytest.fixture
@@ -137,7 +137,7 @@ class Contract(DriverContract):
         return pulses_in_books(self.folder)
 
     def assert_silent(self):
-        """All electrodes are shorted, and stay so."""
+        """Assert that all electrodes are shorted, and stay shorted."""
         before = self.state()
         assert before["state"] == "shorted"
         assert self.state()["slots"] == before["slots"]
@@ -170,7 +170,7 @@ class OneAgainstAll(Contract):
 
     @pytest.fixture(autouse=True)
     def _keep_sent(self, monkeypatch):
-        """Keep what is written to the line, as books of a kit do not show what it was sent."""
+        """Record all written bytes: the delivery log of a kit does not show what it was sent."""
         self.sent, write = [], Line.write
 
         def kept(line, data, proved=None):
@@ -216,14 +216,14 @@ class TestNewestETactileKitOverTcp(TestETactileKit):
 
 
 class TestMemory(Contract):
-    """In this process: what it keeps instead of books is what it was sent."""
+    """``memory:`` has no firmware: the pulses are those of the sequences that the driver got."""
 
     @pytest.fixture
     def url(self):
         return "memory:"
 
     def pulses(self):
-        """Nothing leaves this process."""
+        """Return the pulses of all sequences that were written."""
         sent = [call.args[0] for call in self.calls.write.mock_calls]
         return [pulse for each in sent for pulse in planned_pulses(each.sequence, each.times)]
 
@@ -238,7 +238,7 @@ class TestMemory(Contract):
 
 
 class TestSimulated(TestMemory):
-    """In this process too, but it reports what its firmware let flow."""
+    """``simulated:`` runs its firmware in this process, and reports the delivered pulses."""
 
     shows_recharges = False
 
@@ -254,12 +254,12 @@ class TestSimulated(TestMemory):
         ]
 
     def _start(self, board):
-        # Its time passes within a send: what goes on for long costs long, and shows no more.
+        # Simulated time passes within `send`, so that more repetitions would only take longer.
         board.send(self.sequence(0))
         board.send(self.sequence(1), times=20)
 
     def assert_silent(self):
-        # What repeats, or a measurement: its ramp of probes, a slot for each electrode.
+        # At most a repetition of 80 slots, or a measurement with all its probe scans.
         in_pairs = self.output.kind == "weighted"
         probes = probe_sequences(self.driver._limits, self.output, in_pairs=in_pairs)
         books = self.driver._firmware.books
@@ -267,7 +267,7 @@ class TestSimulated(TestMemory):
         assert books.state == "shorted"
 
     def test_a_newer_sequence_ends_a_repetition(self, make_board):
-        # Its time passes within a send: nothing newer can come before the end.
+        # Simulated time passes within `send`: a repetition ends before a newer sequence comes.
         with make_board() as board:
             board.send(self.sequence(0))
             board.send(self.sequence(1), times=10)
@@ -291,7 +291,7 @@ class TestSimulated(TestMemory):
 class TestFirmware(Contract):
     @pytest.fixture
     def url(self, start_firmware, tmp_path):
-        # Time is what sequences claim.
+        # As `claimed_time` says, the board has no ramp.
         options = (f"--books={tmp_path}", "--ramp-ms=0")
         return "link:" + start_firmware(*options, output=self.output_kind)[1]
 
@@ -306,13 +306,13 @@ class TestCortexM3(TestFirmware):
     instants = 2
 
     def pulses(self):
-        """Return its pulses; it shorts for longer than it is sent, while it is emulated."""
+        """Return pulses without discharge times, which are longer than planned under QEMU."""
         return [replace(pulse, discharge_us=None) for pulse in super().pulses()]
 
 
 @pytest.mark.realtime
 def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_sequence):
-    """By a board with a ramp of its own: what the gate was made to overlook the board does not."""
+    """The board has its own ramp, so it refuses an intensity that the changed gate accepts."""
     port = start_firmware(f"--books={tmp_path}")[1]
     with make_board(f"link:{port}", make_limits(), Output(kind="weighted")) as board:
         deliver(board, make_sequence(0))
@@ -326,7 +326,7 @@ def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_se
 
 @pytest.mark.realtime
 def test_a_board_whose_session_is_over_gets_its_kernels_in_another(start_firmware, make_limits):
-    """The program may have been held up for longer than boards bear silence."""
+    """A pause of the program that is longer than the host timeout ends the session."""
     limits = make_limits()
     table = random_table(np.random.default_rng(0), 9, limits.electrodes)
     port = start_firmware()[1]

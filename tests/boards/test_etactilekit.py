@@ -1,6 +1,6 @@
-"""An eTactileKit scans every pattern, as often as it should, and the host knows how often.
+"""An eTactileKit scans each pattern as often as requested, and the host counts the scans.
 
-``pytest tests/boards/test_etactilekit.py --runs 2000 -s`` for the long run, and figures.
+``pytest tests/boards/test_etactilekit.py --runs 2000 -s`` runs longer and prints figures.
 """
 
 import random
@@ -26,7 +26,7 @@ FIRMWARES = pytest.mark.parametrize("firmware", ["71adee2", "newest"])
 
 
 def patterns(count, seed=1):
-    """Return sequences, each another set of electrodes or another height than that before."""
+    """Return sequences that each differ from the one before in electrodes or current."""
     rng = random.Random(seed)
     found = []
     for step in range(count):
@@ -42,7 +42,7 @@ def pulses(level_ua, sites, step=0, limits=LIMITS, width_us=100, intensity=0.5, 
 
 
 def unlike(scans):
-    """Return the scans that differ from the one before."""
+    """Return the scans without consecutive duplicates."""
     return [scan for i, scan in enumerate(scans) if not i or scan != scans[i - 1]]
 
 
@@ -73,7 +73,7 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, named, phase_us, d
     assert kit.books.unsafe == 0
     took = (kit.clock.time_ns - start) / (20 * MS)
     print(f"{firmware} {phase_us} {drift}: {took:.1f} periods for {runs} patterns")
-    # A few until its scans are located.
+    # The driver needs a few more periods until it knows when the board scans.
     assert took < runs + 7
     kit.assert_located()
 
@@ -81,7 +81,7 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, named, phase_us, d
 @FIRMWARES
 @pytest.mark.parametrize("width_us", [100, 200])
 def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_us):
-    """48 electrodes fill 39 % of the period, or 64 %."""
+    """A scan of 48 electrodes takes 39 % or 64 % of the period."""
     limits = SafetyLimits(48, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
     kit = ManualKit(monkeypatch, limits, firmware, phase_ns=3 * MS, drift=70e-6)
     rng, start = random.Random(1), kit.clock.time_ns
@@ -100,7 +100,7 @@ def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("named", [True, False])
 def test_what_a_busy_host_cannot_determine_is_a_range(monkeypatch, firmware, seed, named, runs):
-    """Waits of milliseconds too long, and frames that come when they like: none unscanned."""
+    """Waits end milliseconds late and frames come at random, but the board scans each pattern."""
     runs = runs or PATTERNS
     kit = ManualKit(
         monkeypatch, LIMITS, firmware, seed=seed, late_us=3000, phase_ns=7 * MS * seed,
@@ -175,21 +175,21 @@ def test_a_board_that_never_echoes_again_is_reported(monkeypatch):
     kit = ManualKit(monkeypatch, LIMITS)
     kit.run([(0, pulses(1000, [1]), 1)])
     kit.port.write = len
-    # Even if nothing is sent any more: its last pattern may still be running.
+    # `zero` must fail as well: the board may still repeat its last pattern.
     for act in (lambda: kit.driver.write(proved(pulses(1010, [1]))), kit.driver.zero):
         with raises(LineLostError, names="board") as lost:
             act()
         assert "lift the finger" in str(lost.value)
-    # Its watchdog has put it at zero: there is nothing to be afraid of.
+    # After the watchdog has set the board to zero, the finger is not in danger.
     kit.port.at_zero = True
     assert "finger" not in str(kit.line.lost("is silent"))
 
 
 def test_a_line_that_loses_one_command_after_another_is_not_driven(monkeypatch):
-    """What is lost in pieces could be completed by foreign bytes."""
+    """Bytes of a later command could complete a command that has lost a byte."""
     kit = ManualKit(monkeypatch, LIMITS)
     write = kit.port.write
-    # The query behind a pattern is lost, and never one that asks whether the board is there.
+    # Only the query after each pattern is lost, not the queries that look for the board.
     kit.port.write = lambda data: write(data[:-1] if data[: len(LOAD)] == LOAD else data)
     with raises(BoardError, names="safely"):
         kit.run([(10**9 * step, pulses(1000 + 10 * step, [1]), 1) for step in range(1, 9)])
@@ -208,7 +208,7 @@ def test_a_stop_whose_answer_is_lost_leaves_a_range(monkeypatch):
 
 
 def test_a_scan_that_is_too_long_for_its_period_never_leaves(monkeypatch):
-    """8 outputs of 160 µs are more than 1 ms; their parser would stand still for ever."""
+    """8 outputs of 160 µs take 1.28 ms, longer than the period: the parser would never run."""
     kit = ManualKit(monkeypatch, LIMITS)
     with raises(BoardError, value=1000, allowed=1280):
         kit.driver.write(proved(replace(pulses(1000, [1]), period_us=1000)))

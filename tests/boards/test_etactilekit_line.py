@@ -1,5 +1,5 @@
-"""To the byte: what goes to an eTactileKit, in whatever state it is, and what always means zero;
-and when it scans."""
+"""The exact bytes for an eTactileKit, when it is opened, for patterns and for zero in any state;
+and the estimate of its scan times (`ScanLock`)."""
 
 import contextlib
 import random
@@ -37,7 +37,7 @@ from ..support.full import WHOLE, sample
 from ..support.scans import one_each
 
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
-# Left by hosts before: pulses of a milliampere on all electrodes, sense pulses, half commands.
+# Left by an earlier program: pulses of 1 mA on all electrodes, sense pulses, half a command.
 PULSING = "FC08 FA6400 F732 F63200 FE" + "6400" * 8
 SENSE = "F919 F832"
 HALVES = ["", "FE", "FE 01", "FE 010101", "FB", "FA", "FA FF", "FD", "FC", "F9", "F6", "FB 64"]
@@ -46,12 +46,12 @@ OLD = {
     "v1.0": (1, "FC08 FB19 FA64 F732 F632 FE 0101010101010101"),
     "936c6c0": (2, "FC08 FB6400 FA6400 F732 F63200 FE 0101010101010101"),
 }
-"""Older firmwares: bytes of a height, a width and a rate, and what makes all electrodes pulse."""
+"""Older firmware: bytes per height, width or rate; commands that start all electrodes."""
 
 
 class OldKit:
-    """Parser of an older firmware, which knows no F4: half a command waits for ever, and an FE for
-    no electrodes ends it for good."""
+    """Emulated older firmware without F4. It waits forever for the rest of a command, and an FE for
+    zero electrodes blocks its parser for good."""
 
     def __init__(self, books, size):
         self.books, self.sizes = books, dict.fromkeys(range(0xF6, 0xFE), 1)
@@ -92,7 +92,7 @@ class OldKit:
 
 
 class Meeting(ManualKit):
-    """A driver that meets a board for the first time, of whose firmware it may not be told."""
+    """Driver that opens an unknown board. With ``named``, the user has named the firmware."""
 
     def __init__(self, patch, firmware="71adee2", named=False, board=None):
         super().__init__(
@@ -107,7 +107,7 @@ class Meeting(ManualKit):
         )
 
     def open(self):
-        """Return the capabilities of the board that is opened."""
+        """Open the board; return its capabilities."""
         return self.driver.open(self.line, LIMITS)
 
     def leave(self, text):
@@ -125,7 +125,7 @@ def meet(monkeypatch):
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("half", HALVES)
 def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, half):
-    """What its firmware does by itself is believed only if it is named."""
+    """The driver relies on a host timeout of the firmware only if the user has named it."""
     meeting = meet(firmware, named=bool(half))
     meeting.leave(PULSING + SENSE + half)
     pulsed = meeting.books.slots
@@ -137,9 +137,9 @@ def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, hal
     meeting.board.advance(meeting.clock.time_ns + 3_000_000_000)
     assert meeting.books.slots == slots
     assert meeting.books.state == "shorted"
-    # At most the scan that was under way, and one with what zeros made of half a command.
+    # At most the running scan, and one scan of a command that the zeros completed.
     assert slots - pulsed <= 24
-    # 0x101 counts: what the host before had begun to ask for.
+    # 0x0101 counts, from the incomplete command of the earlier program.
     assert meeting.books.max_current_ma <= 2.57
 
 
@@ -173,11 +173,11 @@ def test_an_older_firmware_is_put_at_zero_and_refused(meet, firmware, half):
     losses=st.lists(st.integers(0, 700), max_size=1),
 )
 def test_no_probe_ever_makes_a_board_pulse(firmware, noise, half, losses):
-    """Not even one of whose bytes one is lost, or behind noise: a quiet board stays quiet."""
+    """A board at zero stays at zero, even if a byte of a probe is lost, or noise precedes it."""
     with pytest.MonkeyPatch.context() as patch:
         old = OldKit(DeliveryLog(8), OLD[firmware][0]) if firmware in OLD else None
         meeting = Meeting(patch, "71adee2" if old else firmware, board=old)
-        # Everything set but a height.
+        # All settings of pulses except the height.
         quiet = "FC08 FA6400 F732 F632" + "FB0000" * (firmware == "936c6c0")
         meeting.leave(quiet + (half or bytes(min(each, 0xF3) for each in noise).hex()))
         books = meeting.books if old is None else old.books
@@ -230,7 +230,7 @@ def test_an_unknown_option_is_named(option, about, value):
     ("electrodes", "wiring", "outputs"), [(32, None, 32), (4, (5, 3, 0, 8), 9)]
 )
 def test_a_smaller_kit_than_the_profile_is_refused(meet, electrodes, wiring, outputs):
-    """Wiring decides how many outputs there are."""
+    """The largest output in ``wiring`` decides how many outputs the kit must have."""
     meeting = meet(named=True)
     limits = SafetyLimits(electrodes, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
     output = Output(kind="one-against-all", wiring=wiring)
@@ -294,7 +294,7 @@ def test_what_it_has_only_one_of_or_not_at_all_is_refused(wrong, attributes):
 
 @given(data=st.data())
 def test_a_lost_byte_never_brings_more_current_than_was_asked_for(data):
-    """Of any message, behind any whole one, and with the messages after it."""
+    """The byte is missing in any one message; the messages before and after it are complete."""
     pattern = pattern_of(anodic(2200, (1, 3)))
     messages = [
         Settings(100, 50, 50, True).commands(10) + PING,
@@ -317,7 +317,7 @@ def test_a_lost_byte_never_brings_more_current_than_was_asked_for(data):
             now_ns += 1_000_000
             answer += board.advance(now_ns)
         if answer[-1:] != b"\x04":
-            # What the driver does then.
+            # Without the answer to PING, the driver resets the parser like this.
             board.feed(bytes(514), now_ns)
             board.feed(QUIET + bytes(4) + PING, now_ns)
             break
@@ -332,12 +332,12 @@ COMMANDS = Settings(100, 50, 100, anodic=True).commands(10) + LOAD + HEIGHTS + G
 RUNNING = bytes([0xFC, OUTPUTS]) + COMMANDS
 ZERO = zero_anywhere(OUTPUTS)
 PLACES = [*sample(range(len(ZERO) - 40), 16), *range(len(ZERO) - 40, len(ZERO))]
-"""In what means zero: few of its many zeros, and all that comes after them."""
+"""Positions in ``ZERO``: some of its many leading zeros, and all bytes after these."""
 
 
 @pytest.fixture(params=FIRMWARES)
 def drives_after(request):
-    """Return a function that returns whether a kit pulses on after bytes that come a scan apart."""
+    """Return a function that feeds parts to a kit, and returns whether it still pulses."""
 
     def drives_after(*parts):
         books = DeliveryLog(OUTPUTS)
@@ -345,11 +345,11 @@ def drives_after(request):
         now_ns = 0
         for part in parts:
             board.feed(part, now_ns)
-            # One parser stands still while a scan goes on.
+            # Time for a scan: the parser of one firmware waits until a scan is over.
             now_ns += 10**8
             board.advance(now_ns)
         before = books.slots
-        # Scans come at 10 or 100 Hz, and the newest firmware bears so long without a host.
+        # Longer than a period at 10 Hz, shorter than the host timeout of the newest firmware.
         board.advance(now_ns + 25 * 10**7)
         return books.slots > before
 

@@ -1,5 +1,5 @@
-"""Whatever breaks, the electrodes end at zero and the user gets one sentence; a board that delivers
-what was not sent is latched; the host's own account of what is scanned."""
+"""Faults of boards: one-sentence errors, the fault latch for a board that delivers unsent pulses,
+and the host's own counters of delivered pulses (`HostStatistics`)."""
 
 import fcntl
 import os
@@ -45,7 +45,7 @@ def test_programs_that_ask_for_no_lock_are_kept_out_of_devices(monkeypatch, name
     monkeypatch.setattr("smarttouch.base.wire.port.os.ttyname", lambda _: name)
     master, slave = os.openpty()
     port = open_port(f"/proc/self/fd/{slave}")
-    # TIOCGEXCL
+    # ioctl TIOCGEXCL: whether other programs are locked out.
     exclusive = fcntl.ioctl(port.fileno(), 0x80045440, bytes(4))
     assert exclusive == (b"\1\0\0\0" if "USB" in name else bytes(4))
     port.close()
@@ -131,7 +131,7 @@ FAULTY = str(Path(__file__).with_name("faulty_board.py"))
 
 @pytest.fixture
 def start_faulty():
-    """Return a starter of boards with a fault; it returns their port."""
+    """Return a function that starts a board with a fault, and returns its port name."""
     with starter() as start:
 
         def start_one(fault, protocol, electrodes):
@@ -144,14 +144,14 @@ def start_faulty():
 
 
 def drive(board, make_sequence, count=4, **fields):
-    """Send some sequences and wait for each."""
+    """Send sequences and wait for each; then close the board during a repetition."""
     with board:
         for step in range(count):
             board.send(make_sequence(step, **fields))
             board.drain()
             time.sleep(0.02)
         board.report()
-        # Cut by the end: what comes after it is no more than was sent.
+        # Closing cuts this repetition short: fewer pulses than sent are no fault.
         board.send(make_sequence(count, **fields), times=50)
 
 
@@ -167,7 +167,7 @@ def test_a_link_board_is_latched(fault, start_faulty, make_limits, make_sequence
     assert f"on {record}; have the board checked" in str(refused.value)
     assert str(found.value).startswith(f"{record.split(': ', 1)[1]}: ")
     assert find_latch(again.device) is None
-    # What has failed stays at zero as long as its program runs.
+    # The same program cannot open a faulty board again, not even with the latch cleared.
     with pytest.raises(BoardFaultError):
         board.open()
 
@@ -188,7 +188,7 @@ def test_a_record_outlives_its_process_and_is_private():
     assert record.stat().st_mode & 0o077 == 0
     assert find_latch("USB 1234:5678 A1").endswith(": a fault")
     record.write_text("nonsense")
-    assert find_latch("USB 1234:5678 A1") is not None, "a record that cannot be read is a fault"
+    assert find_latch("USB 1234:5678 A1") is not None, "an unreadable record counts as a fault"
     assert find_latch("USB 1234:5678 A2") is None
 
 
@@ -218,7 +218,7 @@ def test_a_range_of_scans_is_a_range_of_pulses(make_sequence):
     report = books.report
     assert (report.sequences, report.slots, report.pulses, report.most_pulses) == (1, 16, 128, 160)
     assert report.max_current_ma == pytest.approx(0.7)
-    # What may have flowed counts too: one slot of .07 µC and three of .01 µC on an electrode.
+    # The possible fifth pass adds one slot of 0.07 µC and three of 0.01 µC, whatever their sign.
     exact = HostStatistics(8)
     exact.add(sequence, 4)
     assert exact.report.most_pulses == 128

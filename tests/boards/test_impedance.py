@@ -1,5 +1,5 @@
-"""The scale of a board's current lies in a band around its nominal, voltages become impedances,
-also in pairs, and bad electrodes are told from good ones."""
+"""Current scales of kits within a band, impedances from voltages of one electrode against all or
+of pairs, and open or shorted electrodes."""
 
 import math
 from dataclasses import replace
@@ -41,7 +41,7 @@ def board_of(kind, ua_per_count, **changes):
 )
 def test_a_scale_beyond_the_band_is_refused_before_anything_is_opened(kind, factor):
     scale_ua = factor * NOMINAL_UA[kind]
-    # There is no such port: to open it would be another error.
+    # The port does not exist: opening it would raise another error.
     with raises(BoardError, names="output.ua_per_count", value=scale_ua):
         board_of(kind, scale_ua)
 
@@ -76,7 +76,7 @@ def test_a_scale_that_is_too_low_does_not_raise_the_largest_current(kind):
     low, limits = board_of(kind, (1 - BAND) * NOMINAL_UA[kind])
     most = 2500 if kind == "etactilekit" else 3000
     assert counts_of(kind, low, most, limits) == counts_of(kind, nominal, most, limits)
-    # Well below the limit what was measured is believed.
+    # Well below the limit, the driver uses the measured scale.
     ratio = counts_of(kind, low, 1500, limits) / counts_of(kind, nominal, 1500, limits)
     assert ratio == pytest.approx(1 / (1 - BAND), rel=0.05)
 
@@ -107,7 +107,7 @@ SOURCE = Output(kind="one-against-all")
 
 
 def volts_of(kohm, current_ma):
-    """One electrode against all others in parallel, each in turn."""
+    """Return the voltage of each electrode against all others in parallel, (E,) V."""
     admittance = 1 / np.asarray(kohm, float)
     others = admittance.sum() - admittance
     return current_ma * (np.asarray(kohm, float) + 1 / others)
@@ -136,7 +136,7 @@ def test_a_load_beside_the_skin_is_taken_off():
     )
 
     def ask(scan):
-        """Return the voltage of each slot, of skin and load in parallel."""
+        """Return the voltage of each slot across skin and load in parallel, (S,) V."""
         scan = gate.check(scan)
         return scan.source_ua / 1000 / (1 / 66 + 1 / volts_of(kohm, 1.0))[: scan.slots]
 
@@ -171,7 +171,7 @@ def test_masked_electrodes_carry_nothing(masked, in_pairs):
 
 
 def measured(kohm):
-    """Measure electrodes whose outputs force their own currents; every scan passes the gate."""
+    """Measure electrodes with a current source each; the gate checks each scan."""
     gate = SafetyGate(WIDE)
     can = Capabilities(24, "weighted", 5.0, 999, 0.0, "", measures=True, compliance_v=COMPLIANCE_V)
 
@@ -218,7 +218,7 @@ def test_an_emulated_board_of_weighted_outputs(start_emulator):
         limits = SafetyLimits.of(profile)
         board.send(one_each(limits, 0, 200, 0.0, 10**10, cathodic=True, period_us=20_000))
         found = board.measure()
-        # Its scans have opened no level for what comes next.
+        # The scans of the measurement have not raised the ramp for this sequence.
         weak = one_each(limits, 300, 200, 0.2, 0, cathodic=True, sites=[3], period_us=20_000)
         with raises(SafetyError, limit="ramp_s", allowed=0):
             board.send(weak)

@@ -1,4 +1,4 @@
-"""To the byte: what the 61-electrode kit receives, and what it never receives."""
+"""The exact bytes that the driver writes to a 61-electrode kit, and when it writes them."""
 
 import threading
 from dataclasses import replace
@@ -21,12 +21,12 @@ LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
 
 
 def kajimoto(limits=LIMITS, output=None, driver=Kajimoto61Driver, **options):
-    """Return a board on a port, whose time is what sequences claim."""
+    """Return a board whose gate uses the times stated in sequences."""
     return Board(driver("x", limits, output), limits, output, claimed_time=True, **options)
 
 
 def anodic(levels_ua, step=1, period_us=20_000, width=50, discharge=150, sign=-1):
-    """One slot for each electrode of ``levels_ua``, all others sharing the return."""
+    """Return one slot for each electrode of ``levels_ua``; all others share the return current."""
     site = np.array(sorted(levels_ua), np.uint16)
     current = np.zeros((len(site), 61), np.int16)
     for row, electrode in zip(current, site, strict=True):
@@ -50,7 +50,7 @@ def packet(**intensities):
 
 def test_zero_first_scans_between_zero_last(port):
     with kajimoto() as board:
-        # 39.0625 µA to a byte: 1,020 µA are 26.1, 3,900 are 99.84.
+        # A step is 39.0625 µA: 1,020 µA are 26.1 steps, 3,900 µA are 99.84.
         deliver(board, anodic({}, 0), anodic({0: 1020, 60: 3900}))
         report = board.report()
     assert port.packets() == [ZERO, packet(e0=26, e60=100)]
@@ -97,7 +97,7 @@ def test_what_it_cannot_do_is_refused_and_never_sent(port, sequence, attributes)
 def test_a_board_that_answers_a_pattern_is_another(port):
     port.incoming += b"\x10\x02" * 4
     with raises(BoardError, names="board"):
-        # Its reply comes a moment after the pattern: the flush before must not hide it.
+        # A real reply comes after the pattern, so keep the driver from discarding it before.
         board = kajimoto()
         board._line.discard_input = lambda: None
         board.open()
@@ -113,7 +113,7 @@ def test_another_profile_is_refused():
 
 
 class StillClock:
-    """Time that jumps to every deadline, and records each."""
+    """Simulated clock that records each deadline, and jumps there when the test releases `gate`."""
 
     def __init__(self):
         self.time_ns, self.deadlines = 0, []
@@ -131,14 +131,14 @@ class StillClock:
 
 
 def test_packets_leave_on_a_grid_and_the_newest_wins(port):
-    # A run of silent ones: bytes do not matter here, but when and how many.
+    # All packets carry zero current: only their times and number matter here.
     clock = StillClock()
     with kajimoto(clock=clock) as board:
         for step in range(3):
             board.send(anodic({}, step))
         clock.gate.release()
         board.drain()
-        # Two were overtaken by the third before the first deadline.
+        # The third sequence has replaced the first two before their deadline.
         assert (board.acknowledged, board.replaced) == (1, 2)
         board.send(anodic({}, 4), times=3)
         for _ in range(3):
@@ -155,7 +155,7 @@ def test_packets_leave_on_a_grid_and_the_newest_wins(port):
     (9, []), (49, ["this computer was too slow: 2 sequences were skipped"]),
 ])  # fmt: skip
 def test_a_packet_that_left_late_is_not_made_up_for(port, late_ms, notes):
-    """The rate that was proved holds between any two packets, whatever the machine does."""
+    """After a delay, packets keep the proved rate; the driver does not send faster to catch up."""
 
     class Late(StillClock):
         def wait_until(self, deadline_ns, stop):

@@ -1,4 +1,4 @@
-"""A sequence more than 100 ms late never reaches a board, and the next begins at zero."""
+"""A sequence that is over 100 ms late never reaches a board; the next must have zero intensity."""
 
 import threading
 from dataclasses import replace
@@ -20,7 +20,7 @@ from .manual_kit import ManualClock
 
 HOUR_NS = 3600 * 10**9
 ZERO = bytes([0xFF]) + bytes(61)
-"""A silent packet of a kit of 61 electrodes."""
+"""Packet without current for a 61-electrode kit."""
 
 
 def limits(electrodes):
@@ -28,7 +28,7 @@ def limits(electrodes):
 
 
 def pulses(electrodes, step, level_ua=1000):
-    """One anodic slot; the first of a run is silent, and each is a second after the last."""
+    """Return one anodic slot; step 0 has zero intensity, and steps are one second apart."""
     return one_each(
         limits(electrodes), level_ua * (step > 0), 50, float(step > 0), step * 10**9,
         cathodic=False, sites=[1], discharge_us=150, period_us=20_000,
@@ -36,7 +36,7 @@ def pulses(electrodes, step, level_ua=1000):
 
 
 def board_of(kind, electrodes, rest="x", **options):
-    """Return a board on a finger, or as is said, whose time is claimed but for what is late."""
+    """Return a board, by default on a finger, whose simulated clock only decides what is late."""
     driver = kind(rest, limits(electrodes))
     usual = {"clock": ManualClock(late_us=0), "claimed_time": True}
     return Board(driver, limits(electrodes), **(usual | options))
@@ -46,7 +46,7 @@ def board_of(kind, electrodes, rest="x", **options):
     ("on_a_finger", "late_ns", "sent"),
     [
         (True, 0, 2), (True, LATE_NS, 2), (True, LATE_NS + 1, 1),
-        # Same seed, same sequences: also where the computer stood still in between.
+        # Without a finger nothing is dropped: a seed gives the same sequences on a slow computer.
         (False, HOUR_NS, 2),
     ],
 )  # fmt: skip
@@ -65,7 +65,7 @@ def test_a_tenth_of_a_second_is_the_limit(on_a_finger, late_ns, sent):
 
 
 class StandsStill(MemoryDriver):
-    """The computer stands still within the driver, before a device that is not a port."""
+    """Driver without a port, which simulates a pause of the computer within `write`."""
 
     clock = None
 
@@ -87,7 +87,7 @@ def test_a_driver_without_a_port_writes_nothing_that_is_late():
 
 @pytest.mark.parametrize("pause_ns", [3 * LATE_NS, HOUR_NS])
 def test_after_a_pause_it_begins_at_zero(pause_ns):
-    """Also after an hour of sleep: the clock runs on while the machine is suspended."""
+    """This holds after an hour of suspend, too, because the clock runs on during suspend."""
     board = board_of(MemoryDriver, 8, "")
     with board:
         board.send(pulses(8, 0))
@@ -105,7 +105,7 @@ def test_after_a_pause_it_begins_at_zero(pause_ns):
 
 
 class PausesBeforeTheSecondPacket(ManualClock):
-    """The computer stands still while the sender waits for the second packet's time."""
+    """Simulated clock that pauses the computer while the sender waits for the second packet."""
 
     waits = 0
 
@@ -128,13 +128,13 @@ def test_a_packet_whose_time_has_passed_is_not_written(port, times):
             board.send(pulses(61, 3))
         deliver(board, one_each(limits(61), 0, 50, 0.0, 4 * 10**9, cathodic=False))
         assert board.acknowledged == 2
-    # Two silent packets, and not one of the pulses between them.
+    # Only the two packets without current were written.
     assert port.packets() == [ZERO] * 2
     assert board.report().pulses == 0
 
 
 def test_what_waits_while_the_level_is_closed_is_not_sent(port):
-    """It was proved before: the ramp is asked once more right before the write."""
+    """A proof from before the reset does not count: the ramp is checked again at the write."""
     with board_of(Kajimoto61Driver, 61) as board:
         deliver(board, pulses(61, 0))
         with board._news:
@@ -147,7 +147,7 @@ def test_what_waits_while_the_level_is_closed_is_not_sent(port):
 
 def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):
     written, clock, driver = [], ManualClock(late_us=0), make_board("emulator:", limits(8)).driver
-    # A board for which it can be too late.
+    # By default the board is on a finger, so it drops late sequences.
     with Board(driver, limits(8), clock=clock, claimed_time=True) as board:
         deliver(board, pulses(8, 0))
         packets, again = board.driver._session, []
@@ -160,7 +160,7 @@ def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):
                 written.append(about)
 
         with monkeypatch.context() as patch:
-            # Its answers are lost, so that it is sent again, and again.
+            # All answers are lost, so that the driver sends the sequence again and again.
             patch.setattr(packets, "take", lambda data: 1)
             patch.setattr(packets, "send", told)
             board.send(pulses(8, 1))
@@ -173,7 +173,7 @@ def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):
 
 
 class Lost(MemoryDriver):
-    """A driver whose board is too late, and whose line is lost before anybody hears of that."""
+    """Driver that finds its sequence late, and loses its line before the next call."""
 
     opened = 0
 

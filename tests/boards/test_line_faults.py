@@ -1,8 +1,8 @@
-"""Faults of a line: the driver recovers or stops at zero, and reports which; a board that comes
-back must be the same, and another in its place gets only a question.
+"""Faults of a line: the driver recovers, or stops at zero with an error. A board that comes back
+must be the same; another device at its port gets only a query.
 
-``pytest tests/boards/test_line_faults.py -k unsafe --runs 600 --timeout 0 -s`` for 600 seconds of
-random faults on each board, and figures.
+``pytest tests/boards/test_line_faults.py -k unsafe --runs 600 --timeout 0 -s`` runs 600 seconds
+of random faults on each board, and prints figures.
 """
 
 import contextlib
@@ -38,7 +38,7 @@ pytestmark = pytest.mark.realtime
 
 
 def once(change):
-    """Return what does something to the next piece of bytes, and leaves those after it alone."""
+    """Return a function that changes the first piece of bytes, and passes on all later pieces."""
     left = [change]
 
     def pass_on(data):
@@ -68,11 +68,11 @@ def send_on(hosted, count):
 
 @pytest.fixture
 def known_by_usb(monkeypatch):
-    """Return a setter of one USB identity, of whatever is at a path."""
+    """Return a function that sets whether USB identifies the device at a path."""
 
     def know(path, known):
         def listed():
-            # The system lists devices, not links to them.
+            # The system lists devices, not symbolic links to them.
             return [SimpleNamespace(device=str(path.resolve()), vid=1, pid=2, serial_number="3",
                                     location="1-1")] * (known and path.exists())  # fmt: skip
 
@@ -92,7 +92,7 @@ def pulled_out_after(count, hosted):
     send_on(hosted, 30)
 
 
-# Nothing on an eTactileKit's wire can tell a doubled byte, and USB and TCP make none.
+# An eTactileKit cannot detect doubled bytes, but USB and TCP never double a byte.
 MISHAPS = [
     *itertools.product(("link", "kajimoto61", "etactilekit"), (drop_one, cut_short)),
     ("link", double_one),
@@ -108,7 +108,7 @@ def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
         send_on(hosted, 4)
         hosted.line.to_board = once(change)
         send_on(hosted, 6)
-        # It went on: the last ones arrived.
+        # The driver has recovered if the board delivers these sequences.
         before = hosted.state()["slots"]
         send_on(hosted, 2)
         assert hosted.state()["slots"] > before
@@ -118,7 +118,7 @@ def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
 
 @ALL
 def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
-    # A kajimoto61 cannot be asked who it is.
+    # A kajimoto61 answers no query: only USB can identify it.
     known_by_usb(hosted.line.path, hosted.kind == "kajimoto61")
     with hosted.board as board:
         send_on(hosted, 4)
@@ -126,7 +126,7 @@ def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
         threading.Timer(0.5, hosted.line.plug_in).start()
         with raises(BoardRestartedError, names="board", value=str(hosted.line.path)):
             send_on(hosted, 30)
-        # On a busy machine there is one on slow answers, too.
+        # On a busy machine there can be another note, about slow answers.
         assert sum(str(hosted.line.path) in note for note in board.notes) == 1
         before = hosted.state()["slots"]
         send_on(hosted, 4)
@@ -148,7 +148,7 @@ def test_a_port_that_stays_away_is_reported(hosted, monkeypatch):
 @pytest.mark.parametrize("hosted", ["etactilekit"], indirect=True)
 @pytest.mark.parametrize("known", [False, True], ids=["asked", "known"])
 def test_a_board_that_is_back_gets_zero_first(hosted, known_by_usb, known):
-    """Where USB does not say that it is the same, its answer does; it is not given time to boot."""
+    """Without an identity from USB, one query comes before zero. The driver waits for no boot."""
     known_by_usb(hosted.line.path, known)
     heard = []
     with hosted.board:
@@ -202,8 +202,8 @@ def test_a_stop_of_a_board_that_is_away_says_whether_it_goes_on(hosted, known_by
 SECONDS = 2 if WHOLE else 1
 
 
-class Weather:
-    """Something goes wrong with one piece in so many."""
+class RandomFaults:
+    """Random changes of 3 % of all pieces of bytes, and the number of each kind."""
 
     def __init__(self, seed, doubles, replays):
         self.random = random.Random(seed)
@@ -225,7 +225,7 @@ class Weather:
             "double": data[: where + 1] + data[where:],
             "cut": data[:where],
             "swallow": b"",
-            # Between zeros, so that what was whole is whole again.
+            # Zeros delimit frames, so that a repeated frame is complete.
             "again": data + b"\0" + self.random.choice(self.before) + b"\0",
             "none": data,
         }[kind]
@@ -236,15 +236,15 @@ class Weather:
 ], indirect=True)  # fmt: skip
 def test_nothing_unsafe_flows(hosted, runs):
     runs = runs or SECONDS
-    # USB and TCP lose bytes only by whole pieces or at their end; they never double one.
-    weather = Weather(1, doubles=hosted.kind != "etactilekit", replays=hosted.kind == "link")
-    hosted.line.to_board = hosted.line.to_host = weather
+    # USB and TCP, the lines of an eTactileKit, never double a byte.
+    faults = RandomFaults(1, doubles=hosted.kind != "etactilekit", replays=hosted.kind == "link")
+    hosted.line.to_board = hosted.line.to_host = faults
     begun = time.monotonic()
     opened = sent = restarts = 0
     sentences = []
 
     def over():
-        # A busy machine takes longer to send anything.
+        # On a busy machine, wait longer for the first sequence.
         seconds = time.monotonic() - begun
         return seconds > runs and (sent > 0 or seconds > HANGS_S)
 
@@ -253,12 +253,12 @@ def test_nothing_unsafe_flows(hosted, runs):
         try:
             with hosted.board:
                 opened += 1
-                pull = threading.Timer(weather.random.uniform(1, 20), unplug, [hosted.line])
+                pull = threading.Timer(faults.random.uniform(1, 20), unplug, [hosted.line])
                 pull.start()
                 try:
                     while not over():
                         try:
-                            hosted.send(times=weather.random.choice([1, 1, 1, 4]))
+                            hosted.send(times=faults.random.choice([1, 1, 1, 4]))
                             sent += 1
                         except BoardRestartedError:
                             restarts += 1
@@ -272,7 +272,7 @@ def test_nothing_unsafe_flows(hosted, runs):
     state = read_state(hosted.folder)
     print(
         f"\n{hosted.kind}: {runs:g} s, {sent} sequences, {state['slots']} slots; "
-        f"{weather.counts}; opened {opened}, restarts {restarts}, faults {len(sentences)}; "
+        f"{faults.counts}; opened {opened}, restarts {restarts}, errors {len(sentences)}; "
         f"unsafe slots {state['unsafe']}, old packets {state['old_packets']}"
     )
     assert sent > 0
@@ -291,7 +291,7 @@ EMULATED = pytest.mark.parametrize("hosted", ["link", "kajimoto61", "etactilekit
 
 
 class Stranger:
-    """A device at a path that keeps what it receives and answers as it is set."""
+    """Other device at a board's path; it records received bytes and answers by a function."""
 
     def __init__(self, path, answer=lambda _heard: b""):
         self.heard, self._answer = b"", answer
@@ -331,7 +331,7 @@ def stranger(monkeypatch):
 
 
 def kinds(heard):
-    """Return the kinds of packets in what a stranger heard; nothing else may be in it."""
+    """Return the kinds of packets in received bytes, which must consist of complete packets."""
     deframer = Deframer()
     found = [each.kind for each in deframer.feed(heard)]
     assert (deframer.errors, deframer.waiting) == (0, b"")
@@ -339,7 +339,7 @@ def kinds(heard):
 
 
 def replaced(hosted, stranger, *answer):
-    """Let a board's place be taken while it is driven; return what was sent there."""
+    """Replace a board by a stranger while it is driven; return the bytes that the stranger got."""
     others = []
 
     def drive():

@@ -1,4 +1,4 @@
-"""A recorded session of a board becomes a test of its driver."""
+"""Recordings of sessions with a board, replayed as tests of its driver."""
 
 import contextlib
 import json
@@ -29,11 +29,11 @@ def _no_boot(monkeypatch):
 
 
 def session(kind, port, options="", pulses=(400,)):
-    """Drive a board: to zero, pulses where the host times them, and to zero."""
+    """Open and close a board; send pulses in between if it is a kajimoto61."""
     profile = st.load_profile(PROFILES[kind])
     limits = SafetyLimits.of(profile)
     with make_board(f"{kind}:{port}{options}", limits, profile.output) as board:
-        # Without sequences, an eTactileKit is loaded with zeros once.
+        # Wait until the driver of an eTactileKit has loaded zeros, which it does without sequences.
         board._stopped.wait(0.3)
         for step, level_ua in enumerate(pulses) if kind == "kajimoto61" else ():
             deliver(board, anodic({}, 2 * step), anodic({3: level_ua, 5: level_ua}, 2 * step + 1))
@@ -42,7 +42,7 @@ def session(kind, port, options="", pulses=(400,)):
 
 @pytest.fixture
 def recorded(start_emulator, tmp_path):
-    """Return a runner of a recorded session with an emulated board, that gives its file."""
+    """Return a function that records a session with an emulated board, and returns the file."""
 
     def run(kind):
         path = tmp_path / f"{kind}.jsonl"
@@ -74,11 +74,11 @@ def test_a_recorded_session_is_a_test_of_the_driver(recorded, kind):
 def test_bytes_that_differ_are_named_with_their_position(recorded):
     path = recorded("kajimoto61")
     sent = b"".join(bytes.fromhex(line["hex"]) for line in events(path) if line["event"] == "sent")
-    # A byte is 39 µA.
+    # The current of electrode 3, rounded to 360 µA, is 9 steps of 39 µA.
     position = sent.index(9)
     with raises(BoardError, names=(f"byte {position} ", "0b", "09")), replayed(path) as port:
         session("kajimoto61", port, pulses=(440,))
-    # More and fewer bytes than recorded.
+    # The host writes one byte more, or one byte less, than was recorded.
     for written, position, got, was in (
         (sent + b"\x07", len(sent), "07", "none"), (sent[:-1], len(sent) - 1, "none", "00")
     ):  # fmt: skip
@@ -94,7 +94,7 @@ def test_the_program_serves_a_recording_until_the_host_is_gone(recorded, pulses,
     path = recorded("kajimoto61")
     command = [PROGRAM, "devices", "emulate", str(path)]
     with Forked(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as device:
-        # A device that ends takes its port with it.
+        # After a difference the emulator ends, and its port disappears.
         with contextlib.suppress(*[BoardError] * (status == 2)):
             session("kajimoto61", device.stdout.readline().strip(), pulses=pulses)
         assert device.wait() == status
@@ -102,7 +102,7 @@ def test_the_program_serves_a_recording_until_the_host_is_gone(recorded, pulses,
 
 
 def test_a_link_board_cannot_be_replayed(recorded):
-    """Its sessions have random numbers, so that no recording can drive one."""
+    """Each session of a link board has a random number, so that its bytes always differ."""
     path = recorded("link")
     with (
         raises(BoardError, names=("from the host is",)), replayed(path) as port,

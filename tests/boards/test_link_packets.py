@@ -1,5 +1,5 @@
-"""Packets of ``link`` at the host: what survives the wire, whose silence counts, scans in parts,
-and the board's clock."""
+"""Packets of ``link`` at the host: encoding, silent boards, scans in parts, and conversion of the
+board's time."""
 
 import itertools
 import struct
@@ -90,7 +90,7 @@ def test_lists_beyond_what_a_board_adds_up_go_as_currents(amplitude):
 
 
 def test_a_switched_board_that_claims_a_recharge_phase_gets_none(make_limits, monkeypatch):
-    """Its one source has no current for each electrode."""
+    """A switched board has only one current source, but a recharge needs one for each electrode."""
     limits, output = make_limits(), Output(kind="one-against-all")
     said, able = LinkFirmware._capabilities, 27
 
@@ -115,7 +115,7 @@ def test_an_endless_packet_does_not_fill_the_memory():
 def test_the_bytes_are_those_of_a_plain_encoder(current, seed, shapes, measure):
     _, _, site = columns(current, seed)
     shape = np.random.default_rng(seed).integers(0, shapes, len(current)).tolist()
-    # Shapes 0 and 1 differ by their rest alone.
+    # Shapes 0 and 1 differ only in their discharge.
     width, rest = [100 + each // 2 for each in shape], [50 + each for each in shape]
     used = sorted(set(shape))
     plain = struct.pack("<IHHBB", 9000, 3, 0xFFFF, measure, len(used))
@@ -165,8 +165,8 @@ SAYS = "says it is alive"
 
 
 class Reads:
-    """A line that plays each piece once, then the last for ever; a number is a read that took so
-    long."""
+    """Line whose reads return the pieces, the last one again and again. A number stands for a read
+    that takes so many seconds and returns nothing."""
 
     name = "here"
     now_ns = write = None
@@ -188,12 +188,12 @@ class Reads:
 
 
 SILENCE_S = 2.5 * LISTENED_S
-"""As two delays of this computer in a row may count for less."""
+"""Silence after which a board is lost, longer than two delays of this computer can add."""
 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize(("pieces", "begun", "is_gone"), [
-    # Our own absence is not the board's silence, and before a session it says nothing.
+    # A pause of this program is not silence of the board, and a board is silent before a session.
     ([SAYS, 2 * SILENCE_S, b"", SAYS], True, False),
     ([b""], False, False),
     ([SAYS, b""], True, True),
@@ -220,7 +220,7 @@ class SmallDriver(SimulatedDriver):
 
 
 def made_scan(rng, table, step):
-    """Return a scan of 1 to 11 slots: of kernels, of currents, or with a recharge phase."""
+    """Return a scan of 1 to 11 slots, of kernels or of currents, every fourth with a recharge."""
     count = int(rng.integers(1, 12))
     size = rng.integers(1, 4, count)
     first = np.concatenate([[0], size.cumsum()])
@@ -237,7 +237,7 @@ def made_scan(rng, table, step):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_a_small_board_delivers_is_what_a_large_one_does(make_limits, seed):
-    """To the bit and the microsecond, kernels and currents mixed."""
+    """Voltages, counters, currents and pulse widths are exactly equal."""
     rng = np.random.default_rng(seed)
     table, found = random_table(rng, 12, 8), []
     scans = [made_scan(rng, table, step) for step in range(1, 16)]

@@ -1,4 +1,4 @@
-"""``smarttouch stop`` brings every real run to zero or names it, and touches no other process."""
+"""``smarttouch stop`` sets each run to zero or reports it, and leaves other processes alone."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def folder(own_state):
 
 @pytest.fixture
 def smarttouch_stop(capsys):
-    """Return a function that runs the command: its exit code, and its sentences in order."""
+    """Return a function that runs ``smarttouch stop``: it returns exit code and sorted lines."""
 
     def run():
         code = 0
@@ -51,7 +51,7 @@ def smarttouch_stop(capsys):
 
 @pytest.fixture
 def bystander():
-    """A process that has nothing to do with any run."""
+    """Process of no run, which must survive the test."""
     with subprocess.Popen(["sleep", "60"]) as process:
         yield process
         assert process.poll() is None
@@ -107,10 +107,10 @@ def test_every_run_is_asked_and_says_whether_it_is_at_zero(folder, smarttouch_st
 
 
 def happen(what, folder, child):
-    """Let something happen to a run or its files; return whether it is still there."""
+    """Change a run or its files as named; return whether the process of the run still exists."""
     file = next(folder.glob("*.json"))
     if what in ("frozen", "request withheld"):
-        # Otherwise it might take the second for a request.
+        # Suspend the run: otherwise it could take the file made below for a stop request.
         os.kill(child, signal.SIGSTOP)
     if what == "request withheld":
         file.with_suffix(".stop").symlink_to(folder / "nowhere" / "file")
@@ -139,7 +139,7 @@ def happen(what, folder, child):
 def test_what_happens_to_a_run_and_its_files_hides_it_from_no_stop(
     folder, smarttouch_stop, monkeypatch, what, code, said, ends, locks
 ):
-    """Also on file systems whose locks other computers do not see, or that have none."""
+    """This holds also on file systems that have no locks, or hide them from other computers."""
     monkeypatch.setattr(run_registry, "ANSWER_S", 1.0)
     monkeypatch.setenv("XDG_STATE_HOME", os.environ["XDG_STATE_HOME"])
     if not locks:
@@ -158,7 +158,7 @@ def test_what_happens_to_a_run_and_its_files_hides_it_from_no_stop(
 
 
 def described(pid, changes):
-    """Return the file of a run as it would be written for a process."""
+    """Return the JSON of a registry entry for this process id, with some fields changed."""
     host, boot, namespace = run_registry._place()
     fields = {"host": host, "boot": boot, "namespace": namespace, "pid": pid}
     start_ns = run_registry._start_ns(pid)
@@ -177,7 +177,7 @@ def described(pid, changes):
 def test_a_file_that_no_run_holds_harms_no_process(
     folder, bystander, monkeypatch, changes, said, stays
 ):
-    """As one that was copied, or left by a run whose process number another program has now."""
+    """The entry is a copy, or the process id of an ended run now belongs to another program."""
     monkeypatch.setattr(run_registry, "ANSWER_S", 0.3)
     (folder / f"{ID}.json").write_text(described(bystander.pid, changes))
     found = [answer.sentence for answer in stop_all()]
@@ -204,7 +204,7 @@ def test_a_run_that_withdraws_while_it_is_asked_was_closed_at_zero(folder):
     def work(say):
         with Display() as board:
             say()
-            # Mostly before the run's thread has seen the request.
+            # This usually sees the request before the thread of the run does.
             until(lambda: any(folder.glob("*.stop")) or board.zeros)
 
     with in_child(work):
@@ -213,7 +213,7 @@ def test_a_run_that_withdraws_while_it_is_asked_was_closed_at_zero(folder):
 
 @pytest.mark.parametrize("what", ["*.json", "*.lock", ""])
 def test_a_run_that_a_stop_would_not_find_any_more_ends_within_a_second(folder, what):
-    """As it would be announced no more: without one of its files, or the whole folder."""
+    """A file of its entry is missing, or the whole folder."""
     with in_child(until_zero(Display())) as child:
         if what:
             next(folder.glob(what)).unlink()
@@ -269,7 +269,7 @@ def test_boards_of_all_processes_share_the_budget(folder):
     with in_child(until_zero(Display())) as child, Display():
         with raises(BoardError, names="limits.total_ma", value=20.001, allowed=20.0), Display(1):
             pass
-        # A run that is gone counts nothing, however it ended.
+        # The current of an ended run does not count, not even after SIGKILL.
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
         with Display():

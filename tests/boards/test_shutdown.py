@@ -1,4 +1,4 @@
-"""A process has one entry for all its boards, and signals bring them to zero before it ends."""
+"""A process has one registry entry for all boards; signals set these to zero before it ends."""
 
 import hashlib
 import os
@@ -58,7 +58,7 @@ def test_a_run_is_asked_to_end_before_its_board_is_at_zero():
     stop, order = StopRequest(), []
 
     def work(say):
-        # What else ends with the run does not hold up its board.
+        # A slow function of the stop request does not delay zero.
         stop.always_on_stop(lambda: time.sleep(PATIENCE_S))
         board = Display()
         board.zero = lambda how: order.append(stop.event.is_set())
@@ -80,7 +80,7 @@ def test_a_run_is_announced_as_long_as_it_lasts(folder):
 
 
 class TestForks:
-    """A forked process has boards, entry and signals of its own."""
+    """A forked process has its own boards, registry entry and signal handlers."""
 
     def test_it_cannot_use_the_boards_of_its_parent(self, profile):
         def work(say):
@@ -154,21 +154,21 @@ def test_handlers_are_there_while_a_board_is_open_and_leave_nothing_behind():
 
 
 def start_event_loop():
-    """Take over the descriptor that wakes up on signals, as asyncio does."""
+    """Replace the wakeup file descriptor for signals, as asyncio does."""
     _, own = os.pipe()
     os.set_blocking(own, False)
     signal.set_wakeup_fd(own)
 
 
 def sleeping(before=lambda: None, within=lambda: None, opening=lambda board: board.__enter__()):
-    """Return work that opens a board and sleeps; exit code 98 if it is not at zero in the end."""
+    """Return work that opens a board and sleeps until a signal; it fails without zero."""
 
     def work(say):
         board = Display()
         before()
         opening(board)
         try:
-            # Only the main thread can handle signals: here at the latest.
+            # If another thread opened the first board, this one installs the signal handlers.
             with Display(1):
                 within()
                 say()
@@ -201,7 +201,7 @@ def test_boards_are_at_zero_while_the_main_thread_cannot_run_a_handler(number):
         with Display() as board:
             board.zero = lambda how: os._exit(42)
             say()
-            # One call of many seconds, in which no handler of Python runs.
+            # This call takes many seconds, and Python runs no signal handler meanwhile.
             hashlib.pbkdf2_hmac("sha256", b"", b"", 200_000_000)
 
     with in_child(work) as child:
@@ -249,7 +249,7 @@ def test_a_signal_that_a_program_handles_itself_stops_no_board():
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
             until(lambda: board.zeros)
-            assert board.zeros == ["stop"], "that of Ctrl-C"
+            assert board.zeros == ["stop"], "only Ctrl-C may stop the board"
         say()
 
     with in_child(work) as child:
@@ -273,7 +273,7 @@ def test_no_exception_is_raised_within_a_write():
 
 
 class TestCommands:
-    """Commands of the command line end by signals and stops, also before a board is open."""
+    """Signals and stop requests end a command, also before it has opened a board."""
 
     @pytest.mark.parametrize(("number", "name"), [
         (signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP"),
@@ -293,7 +293,7 @@ class TestCommands:
             assert exit_code(child) == 40 + number
 
     def test_what_does_not_end_in_order_is_given_up(self):
-        """After its patience, never before its boards are at zero."""
+        """`give_up` is called after ``patience_s``, but never before the boards are at zero."""
 
         def work(say):
             def give_up(number):

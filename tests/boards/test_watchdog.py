@@ -1,6 +1,6 @@
-"""The process that shares a port, and puts the board at zero when its host is gone.
+"""The watchdog, which shares a port and sets the board to zero when its host is gone.
 
-Real processes are asked for order and outcome, never for durations.
+Tests with real processes check the order and the result of writes, never durations.
 """
 
 import os
@@ -33,7 +33,7 @@ TWICE = ZERO + ZERO
 
 
 class Board:
-    """The far end of a serial port."""
+    """Device side of a serial port."""
 
     def __init__(self):
         self.end, slave = os.openpty()
@@ -42,10 +42,10 @@ class Board:
         os.close(slave)
 
     def read(self, count=None):
-        """Return so many bytes, or all until the port is closed at its other end."""
+        """Return ``count`` bytes, or all bytes until the host closes the port."""
         heard = b""
         while count is None or len(heard) < count:
-            assert select.select([self.end], [], [], 20)[0], f"nothing comes after {heard!r}"
+            assert select.select([self.end], [], [], 20)[0], f"no byte comes after {heard!r}"
             try:
                 heard += os.read(self.end, 65536 if count is None else count - len(heard))
             except OSError:
@@ -81,7 +81,7 @@ time.sleep(60)
 
 @pytest.mark.parametrize("armed", [True, False])
 def test_closing_ends_at_zero_and_lets_go_of_the_port(board, port, armed):
-    """Of a device that is not known to be the board, nothing is known that means zero."""
+    """An unarmed watchdog writes nothing, because the device may be a wrong one."""
     if armed:
         port.arm()
     port.write(b"pattern")
@@ -107,7 +107,7 @@ def test_a_host_that_is_stopped_counts_as_gone(board):
 
 @pytest.mark.parametrize("stale", [False, True])
 def test_a_host_that_stood_still_writes_nothing_any_more(board, port, monkeypatch, stale):
-    """Neither once its watchdog has ended, nor a moment before that may have happened."""
+    """A host is silent once its watchdog has ended, or may have ended (``stale``)."""
     port.arm()
     if stale:
         monkeypatch.setattr(etactilekit_line, "STALE_NS", 0)
@@ -123,7 +123,7 @@ def test_a_host_that_stood_still_writes_nothing_any_more(board, port, monkeypatc
 
 
 def test_zero_follows_what_was_written_after_the_watchdog_s_zero(board, port, monkeypatch):
-    """The program is stopped between its look and the bytes, and goes on later."""
+    """The program pauses after its check of the watchdog, and writes later."""
     write = port._port.write
 
     def late(data):
@@ -144,7 +144,7 @@ def test_zero_follows_what_was_written_after_the_watchdog_s_zero(board, port, mo
 def test_a_program_that_was_suspended_writes_nothing_any_more(board, port, monkeypatch):
     port.arm()
     port.write(b"pattern")
-    # Only this clock counts while the computer is suspended.
+    # Simulate a suspend of the computer, during which only this clock runs.
     monkeypatch.setattr(etactilekit_line, "now_ns", lambda: now_ns() + 5 * 10**9)
     with pytest.raises(serial.SerialException):
         port.write(b"another")
@@ -171,12 +171,12 @@ def test_signals_do_not_end_it(board, port, number):
 
 @pytest.mark.parametrize("ignored", [False, True])
 def test_where_it_is_killed_this_program_writes_zero(board, port, ignored):
-    """Also where SIGCHLD is ignored, so that any process ends as with code 0."""
+    """This holds also if SIGCHLD is ignored, so that each ended process seems to have code 0."""
     before = signal.signal(signal.SIGCHLD, signal.SIG_IGN if ignored else signal.SIG_DFL)
     try:
         port.arm()
         os.kill(port._process.pid, signal.SIGKILL)
-        # Without a call: the heartbeat finds out.
+        # The thread of the heartbeat notices the end, without a call of the program.
         assert board.read(len(ZERO)) == ZERO
         assert not port.at_zero
         with pytest.raises(serial.SerialException):
@@ -205,7 +205,7 @@ def test_a_suspended_computer_is_a_silent_host_and_a_stuck_board_ends_it(monkeyp
     slept_s, codes = [5.0], []
     monkeypatch.setattr(watchdog, "_slept_s", lambda: slept_s[0])
     monkeypatch.setattr(watchdog, "STUCK_S", 0.05)
-    # As long as a busy machine may take between two heartbeats, and shorter than the suspension.
+    # Longer than a busy machine needs between two heartbeats, shorter than the suspend of 1 s.
     monkeypatch.setattr(watchdog, "SILENCE_S", 0.9)
     port.setblocking(False)
     with port, board, control, controls:
@@ -214,11 +214,11 @@ def test_a_suspended_computer_is_a_silent_host_and_a_stuck_board_ends_it(monkeyp
         watching.start()
         controls.send(b".")
         if suspended:
-            # No clock that runs during suspend says so here; heartbeats are there without end.
+            # Report a suspend of 1 s, and send a heartbeat nevertheless.
             slept_s[0] = 6.0
             controls.send(b".")
         else:
-            # A second heartbeat ends nothing.
+            # A second heartbeat does not end the watchdog.
             for _ in range(2):
                 until(lambda: codes or not select.select([control], [], [], 0)[0])
                 controls.send(b".")

@@ -1,4 +1,4 @@
-"""A host, a board, and someone between them, in one thread and on a clock that the test sets."""
+"""Host, board, and an attacker on their line, in one thread with a simulated clock."""
 
 import contextlib
 import random
@@ -31,7 +31,7 @@ FAULTS = ("drop", "twice", "later", "behind", "again", "foreign", "flip", "cut")
 
 
 class KeptBooks(DeliveryLog):
-    """Books that keep what flowed: number, currents and time of each pulse."""
+    """Delivery log that also keeps number, currents and time of each pulse."""
 
     def enter(self, number, slot, site, delivered, width_us, residual_uc, time_us, **more):
         super().enter(number, slot, site, delivered, width_us, residual_uc, time_us, **more)
@@ -39,7 +39,7 @@ class KeptBooks(DeliveryLog):
 
 
 def parse(piece):
-    """Return a frame's bytes, kind, number and session, by a parser of its own; None if broken."""
+    """Return body, kind, number and session of a frame, by code of its own; None if garbled."""
     try:
         body = cobs.decode(piece)
     except cobs.DecodeError:
@@ -51,17 +51,17 @@ def parse(piece):
 
 
 class Stream:
-    """Reads along where frames of one direction arrive, and knows what is old there.
+    """Record of all frames that arrive in one direction, which tells old frames from new ones.
 
-    Old is a frame that has arrived before, that is of a session before the one opened last or of
-    another board, or that comes behind a later one.
+    A frame is old if it arrived before, if it is not from the session opened last, or if a frame
+    with a higher number has arrived.
     """
 
     def __init__(self):
         self.waiting, self.seen, self.sent, self.session, self.newest = b"", set(), [0], 0, 0
 
     def open(self, session):
-        """Take a session for the one at hand, if the true sender opened it, and after this."""
+        """Make a session the current one, if the true sender opened it after the current one."""
         if session in self.sent[self.sent.index(self.session) + 1 :]:
             self.session, self.newest = session, 0
 
@@ -70,7 +70,7 @@ class Stream:
         return cobs.decode(frame[:-1]) in self.seen
 
     def judge(self, piece):
-        """Return kind and whether it is old of the frame that these bytes end; None if broken."""
+        """Add bytes; return kind and whether it is old of the frame that they complete, or None."""
         if not piece.endswith(b"\0"):
             self.waiting += piece
             return None
@@ -92,18 +92,18 @@ class Stream:
 
 
 class Middle:
-    """Faults of the frames of one direction."""
+    """Attacker on one direction, who drops, repeats, delays, mixes and breaks frames."""
 
     def __init__(self, chance):
         self.random, self.share = chance, 0.0
         self.record, self.foreign, self.due, self.counts = [], [], [], Counter()
-        self.hoard, self._held = None, b""
+        self.withheld, self._held = None, b""
 
     def pass_on(self, frame, now_ns):
-        """Take a frame; what becomes of it is due some time."""
+        """Take a frame, perhaps attack it, and set the time at which it arrives."""
         self.record.append(frame)
-        if self.hoard is not None:
-            self.hoard.append(frame)
+        if self.withheld is not None:
+            self.withheld.append(frame)
             return
         held, self._held = self._held, b""
         out = [(now_ns, frame)]
@@ -126,11 +126,11 @@ class Middle:
         self.due += [*out, (now_ns, held)]
 
     def old(self, frames):
-        """Return a frame of before, or of another session, as a whole."""
+        """Return a random frame, after a zero that ends any incomplete frame."""
         return b"\0" + self.random.choice(frames) if frames else b""
 
     def arrived(self, now_ns):
-        """Return what is due, in pieces that end with a frame, and what follows them."""
+        """Return the bytes that are due, cut after each frame; the last piece can be incomplete."""
         if not self.due:
             return []
         data = b"".join(piece for due_ns, piece in self.due if due_ns <= now_ns)
@@ -140,7 +140,7 @@ class Middle:
 
 
 class World:
-    """One board, the hosts that come to it one after another, and who sits in between."""
+    """One emulated board, its successive hosts, and an attacker on each direction of the line."""
 
     def __init__(self, seed):
         self.random = random.Random(seed)
@@ -158,11 +158,11 @@ class World:
         return self.random.randrange(1, 2**32)
 
     def make_board(self):
-        """Return the board of a host that comes to this one."""
+        """Return the `Board` of a new host, on the line of the emulated board."""
         output = Output(kind="weighted")
         driver = LinkDriver("the middle", LIMITS, output)
-        # Without a thread: the world lets it do what is due.
-        driver._session = ToldSession(self, driver)
+        # A session without a thread: `step` does its periodic work.
+        driver._session = SteppedSession(self, driver)
         clock = SimpleNamespace(now_ns=lambda: self.now_ns)
         return Board(
             driver, LIMITS, output, clock=clock, on_a_finger=False, claimed_time=True,
@@ -173,7 +173,7 @@ class World:
         for _ in range(time_ms):
             self.step()
 
-    # -- what the host takes for its port -------------------------------------
+    # -- port of the host -----------------------------------------------------
 
     def write(self, data):
         *whole, self.written = (self.written + data).split(b"\0")
@@ -188,7 +188,7 @@ class World:
         if self.random.random() < 0.5:
             self.firmware.hang_up(self.now_ns)
 
-    # -- what passes while time does ------------------------------------------
+    # -- simulated time and line ----------------------------------------------
 
     def step(self):
         self.now_ns += MS
@@ -219,10 +219,10 @@ class World:
         judged = self.heard.judge(piece)
         if judged is not None and judged[1]:
             self.replayed["board"] += 1
-            # While the switch is open, a BEGIN is answered each time, and changes nothing.
+            # While the emergency switch is open, each BEGIN is answered, but changes nothing.
             kept_shut = judged[0] == BEGIN and self.firmware.switch_open
             if judged[0] != HELLO and not kept_shut:
-                assert self.refused() == before + 1, "a replay was not told of"
+                assert self.refused() == before + 1, "the board did not count an old frame"
 
     def reach_host(self, piece):
         before, listening = self.host.refused, self.host.number > HALF
@@ -233,11 +233,11 @@ class World:
         judged = self.said.judge(piece)
         if judged is not None and judged[1] and listening:
             self.replayed["host"] += 1
-            assert self.host.refused == before + 1, "a replay was not counted"
+            assert self.host.refused == before + 1, "the host did not count an old frame"
 
 
-class ToldSession(LinkSession):
-    """The host's session: while it waits for one, the world goes on."""
+class SteppedSession(LinkSession):
+    """Session of the host without a thread: while it waits, it advances simulated time."""
 
     def __init__(self, world, driver):
         super().__init__(driver._receive, world.draw)
@@ -248,7 +248,7 @@ class ToldSession(LinkSession):
 
     def idle(self):
         if not self.line.is_stopped:
-            # As with the board's sender thread, the next call reports what is wrong.
+            # The next call raises the error, as with the board's sender thread.
             with contextlib.suppress(BoardError):
                 self._driver.idle()
 
@@ -265,7 +265,7 @@ class ToldSession(LinkSession):
 
 
 def write(board, sequence, times=1):
-    """Let a driver write what no gate has proved, with no ramp."""
+    """Let a driver write a sequence that no gate has proved, without a ramp."""
     now_ns, number = board.clock.now_ns(), board.driver._number + 1
     board.driver.write(
         unproved(sequence, times, number, now_ns, now_ns + LATE_NS, board._gate.session)
@@ -274,7 +274,7 @@ def write(board, sequence, times=1):
 
 @pytest.fixture
 def make_world(monkeypatch):
-    """Return a maker of boards with someone in the middle; the last one made is what is opened."""
+    """Return a function that makes a `World`; the driver opens the `World` made last."""
 
     def make(seed):
         world = World(seed)

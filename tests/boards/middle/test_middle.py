@@ -1,8 +1,8 @@
-"""Someone sits on the line of a ``link`` board and repeats, delays, mixes and breaks packets; its
-driver survives answers that are lost, repeated or nobody's.
+"""An attacker on the line of a ``link`` board repeats, delays, mixes and breaks packets. Its driver
+also survives answers that are lost, repeated or not requested.
 
-Host and firmware are driven in one thread, on a clock that is told, frame by frame.
-``pytest tests/boards/middle/test_middle.py --runs 3000 --timeout 0 -s`` for the long run, and
+Host and firmware run in one thread, frame by frame, with a simulated clock.
+``pytest tests/boards/middle/test_middle.py --runs 3000 --timeout 0 -s`` runs longer and prints
 figures.
 """
 
@@ -27,7 +27,7 @@ RUNS_PER_BOARD = 20
 
 
 class Host:
-    """Asks for sequences of which no two are alike, and remembers for what."""
+    """Host that sends sequences with unique currents, and records their number and repetitions."""
 
     asked_ever = 0
 
@@ -49,7 +49,7 @@ class Host:
 
 
 def one_run(world, ending):
-    """Let one host come, ask and go; return it and when it was gone."""
+    """Let one host open the board, send sequences and end; return the host and its end time."""
     host = Host(world)
     board = host.board
     world.to_board.share = world.to_host.share = world.random.choice([0.03, 0.1, 0.3])
@@ -62,32 +62,32 @@ def one_run(world, ending):
                 world.wait(world.random.randrange(60))
         if ending == "stop":
             board.stop()
-        if ending == "hoarded":
+        if ending == "withheld":
             host.send(2000)
-            world.to_board.hoard = []
-            haunt(world, ending, 900)
+            world.to_board.withheld = []
+            attack(world, ending, 900)
     except BoardError:
         world.given_up += 1
     world.host, gone_ns = None, world.now_ns
-    # What is still on its way is lost with the host.
+    # Frames that have not arrived yet are lost with the host.
     world.to_board.due = [each for each in world.to_board.due if each[0] <= world.now_ns]
     board._close_driver()
     return host, gone_ns
 
 
-def haunt(world, ending, time_ms):
-    """Play what was sent before, or let through what was kept back, one frame now and then."""
+def attack(world, ending, time_ms):
+    """Let time pass; now and then replay an old frame, or release a withheld one."""
     arrived = [each for each in world.to_board.record if world.heard.knows(each)]
     for passed_ms in range(time_ms):
         frame = b""
-        if ending == "hoarded" and passed_ms % 80 == 0 and world.to_board.hoard:
-            frame = world.to_board.hoard.pop(0)
+        if ending == "withheld" and passed_ms % 80 == 0 and world.to_board.withheld:
+            frame = world.to_board.withheld.pop(0)
         elif ending == "replayed" and passed_ms % 7 == 0:
             frame = world.to_board.old(arrived)
         if frame:
             world.to_board.due.append((world.now_ns, frame))
         world.step()
-    world.to_board.hoard = None if world.host is None else world.to_board.hoard
+    world.to_board.withheld = None if world.host is None else world.to_board.withheld
 
 
 def check(world, host, gone_ns, ending):
@@ -95,15 +95,15 @@ def check(world, host, gone_ns, ending):
     assert (books.unsafe, books.violations) == (0, 0)
     flowed = Counter((number, current) for number, current, _ in books.kept)
     for (number, current), pulses in flowed.items():
-        assert current in host.asked, "what this host never asked for flowed"
+        assert current in host.asked, "a current flowed that this host did not send"
         wanted, times = host.asked[current]
         assert number == wanted
         assert pulses <= 2 * times
     order = [number for number, _, _ in books.kept]
-    assert order == sorted(order), "an old sequence flowed after a newer one"
+    assert order == sorted(order), "an old sequence was delivered after a newer one"
     assert books.state == "shorted"
-    # What is kept back is fresh until its sender would have heard from the board again.
-    late_ms = SILENCE_MS + 1 + (LATE_MS + ALIVE_MS if ending == "hoarded" else 0)
+    # The board takes a withheld frame until an ALIVE that the frame has not heard is LATE_MS old.
+    late_ms = SILENCE_MS + 1 + (LATE_MS + ALIVE_MS if ending == "withheld" else 0)
     last_us = max((time_us for *_, time_us in books.kept), default=0)
     assert last_us <= gone_ns / 1000 + 1000 * late_ms
     assert host.board.acknowledged <= len(host.asked)
@@ -117,11 +117,11 @@ def test_a_man_in_the_middle(make_world, runs):
     for seed in range(runs):
         if seed % RUNS_PER_BOARD == 0:
             world = make_world(seed)
-        # Of this board's sessions, and of another board's of the same kind.
+        # Frames of sessions of this board and of another one.
         world.to_board.foreign, world.to_host.foreign = (each[-400:] for each in foreign)
-        ending = world.random.choice(["stop", "silent", "replayed", "hoarded"])
+        ending = world.random.choice(["stop", "silent", "replayed", "withheld"])
         host, gone_ns = one_run(world, ending)
-        haunt(world, ending, 1500)
+        attack(world, ending, 1500)
         check(world, host, gone_ns, ending)
         foreign[0].extend(world.to_board.record)
         foreign[1].extend(world.to_host.record)
@@ -129,17 +129,17 @@ def test_a_man_in_the_middle(make_world, runs):
             for middle in (world.to_board, world.to_host):
                 faults.update(middle.counts)
                 middle.share = 0.0
-            # HELLOs that led to nothing are counted when the next host begins.
+            # The board counts HELLOs without BEGIN when the next host begins.
             Host(world).board.open()
             assert world.refused() >= world.replayed["board"]
             totals.update(world.replayed)
             totals.update(slots=world.books.slots, refused=world.refused(), faults=world.given_up)
     print(
-        f"\n{runs} runs, {Host.asked_ever - asked} sequences asked for, {totals['slots']} slots: "
-        "0 unsafe, 0 unasked, 0 old delivered; old frames that reached the board "
+        f"\n{runs} runs, {Host.asked_ever - asked} sequences sent, {totals['slots']} slots: "
+        "0 unsafe, 0 not sent, 0 old; old frames that reached the board "
         f"{totals['board']}, refused by it {totals['refused']}; that reached the host, all "
         f"counted, {totals['host']}; "
-        f"faults {dict(faults)}, hosts that gave up {totals['faults']}"
+        f"faults {dict(faults)}, hosts with an error {totals['faults']}"
     )
     assert totals["slots"] > 10 * runs
     assert totals["board"] > 10 * runs
@@ -147,15 +147,15 @@ def test_a_man_in_the_middle(make_world, runs):
 
 
 def test_the_emergency_switch_opened_at_random(make_world, runs):
-    """Whatever the line does, nothing flows from then on, and closing it begins nothing."""
+    """No current flows after the switch opens, nor when it closes again, whatever the line does."""
     runs = runs or RUNS
     while_flowing = reported = 0
     for seed in range(runs):
         world = make_world(seed)
         world.opens_ns = world.random.randrange(20, 600) * 1_000_000
-        ending = world.random.choice(["stop", "silent", "replayed", "hoarded"])
+        ending = world.random.choice(["stop", "silent", "replayed", "withheld"])
         host, gone_ns = one_run(world, ending)
-        haunt(world, ending, 1500)
+        attack(world, ending, 1500)
         last_us = max((time_us for *_, time_us in world.books.kept), default=0)
         assert last_us <= world.opens_ns / 1000
         while_flowing += world.opens_ns / 1000 - last_us <= 5000
@@ -173,7 +173,7 @@ def test_the_emergency_switch_opened_at_random(make_world, runs):
         world.wait(20)
         assert len(world.books.kept) == 2
     print(f"\n{runs} runs: the switch opened {while_flowing} times while current flowed, and")
-    print(f"{reported} hosts ended by it")
+    print(f"{reported} hosts ended with its error")
     assert while_flowing > runs // 10
     assert reported > runs // 10
 
@@ -202,7 +202,7 @@ def board(world):
 
 
 def lose(world, direction, kind):
-    """Let the next packet of a kind be lost."""
+    """Lose the next packet of a kind in one direction."""
     middle = getattr(world, direction)
     pass_on = middle.pass_on
 
@@ -254,7 +254,7 @@ def test_the_cause_of_a_silent_host_is_named(world, board, slow):
 
 
 def say(world, kind, about, payload=b""):
-    """Let the board say what it has no reason to say."""
+    """Let the board send a packet that nobody requested."""
     world.answer(world.firmware._session.encode(kind, about, payload))
     world.wait(2)
 
