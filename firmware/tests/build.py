@@ -1,5 +1,5 @@
-"""The firmware, built once for all tests where there is a compiler, and on machines that QEMU
-plays: a Cortex-M3 has books as the Python emulator's are."""
+"""Builds of the firmware, shared by all tests, and machines emulated by QEMU. A Cortex-M3 has the
+delivery log of the Python emulator."""
 
 import contextlib
 import shutil
@@ -25,13 +25,13 @@ SOURCES = Path(__file__).parents[1]
 
 @cache
 def built(target, name, *programs, more=""):
-    """Return a file that ``make`` builds; skip where there is none of its programs."""
+    """Build a file by ``make`` and return it; skip the test if ``make`` or a program is missing."""
     for program in ("make", *programs):
         if shutil.which(program) is None:
             pytest.skip(f"needs {program}")
     if not SOURCES.is_dir():
         pytest.skip("needs the folder firmware")
-    # Of these very sources: another's build may lie beside it.
+    # The name depends on the sources, because other checkouts build in the same folder.
     number = zlib.crc32(more.encode(), hash_of_sources())
     folder = Path(tempfile.gettempdir()) / f"smarttouch-firmware-{number:x}"
     folder.mkdir(exist_ok=True)
@@ -45,7 +45,7 @@ def built(target, name, *programs, more=""):
 
 
 def hash_of_sources():
-    """Return a number of the sources' names, contents and place."""
+    """Return a CRC of the contents and the folder of the sources."""
     found = zlib.crc32(str(SOURCES).encode())
     for path in sorted(SOURCES.rglob("*")):
         if (
@@ -58,8 +58,8 @@ def hash_of_sources():
 
 
 def changed(folder, file, old, new, *options):
-    """Build a copy of the sources in which a text is another by ``cc`` with
-    these options and further sources. Skip where that cannot be."""
+    """Replace ``old`` by ``new`` in a copy of the sources, and build it by ``cc``. ``options`` may
+    contain further sources. Skip the test without the sources or ``cc``."""
     if not SOURCES.is_dir() or shutil.which("cc") is None:
         pytest.skip("needs the folder firmware and cc")
     copy = shutil.copytree(SOURCES, folder / "firmware")
@@ -92,7 +92,7 @@ _REASONS = {word[:4]: word for word in ("start", "end", "silence", "stop", "begi
 
 
 def trace_of(electrodes):
-    """Return the type of a record of a pulse, or of all electrodes shorted."""
+    """Return the type of a record: a pulse, or the shorting of all electrodes."""
     return np.dtype(
         [("number", "<u4"), ("start_us", "<u4"), ("slot", "<u2"), ("site", "<u2"),
          ("width_us", "<u2"), ("source_ua", "<u2"), ("current_ua", "<i2", electrodes)]
@@ -100,7 +100,7 @@ def trace_of(electrodes):
 
 
 class OverSocket:
-    """A board at the other end of a socket, as `Talk` knows boards."""
+    """Board at the other end of a socket, with the methods that `Talk` calls."""
 
     def __init__(self, line):
         self.line = line
@@ -115,7 +115,7 @@ class OverSocket:
 
 
 class Machine:
-    """One machine, whose line is a socket; ``name`` is that of its port."""
+    """Machine emulated by QEMU, with a socket as serial port; ``name`` is the port's URL."""
 
     def __init__(self, kind, elf, begun, *options):
         with socket.create_server(("127.0.0.1", 0)) as free:
@@ -141,8 +141,9 @@ class Machine:
 
 
 class CortexM3(Machine):
-    """It has a watchdog where it stands still after some pulses. With ``counts`` its clock counts
-    instructions, of 8 ns each, so that a busy host makes no slot late; its line is slower then.
+    """Cortex-M3 that hangs after ``stands_after`` pulses, if given, and then has a watchdog timer.
+    If ``counts``, its clock counts instructions of 8 ns: then a busy computer delays no slot, but
+    the port is slower.
     """
 
     def __init__(
@@ -153,7 +154,7 @@ class CortexM3(Machine):
         words = electrodes, OUTPUTS.index(output), ramp_ms, stands_after
         words = ",".join(f"arg={each}" for each in words)
         elf = cortex_m3(" -DST_WATCHDOG -DST_SILENCE_US=500000u" * bool(stands_after))
-        # The first that it does is to short all electrodes.
+        # The firmware begins with a record that all electrodes are shorted.
         super().__init__(
             "mps2-an385", elf, lambda: len(self.records()), *["-icount", "shift=3"] * counts,
             "-semihosting-config", f"enable=on,arg=board,{words}", "-serial", f"file:{self._trace}",
@@ -165,7 +166,7 @@ class CortexM3(Machine):
         self._books.close()
 
     def records(self, start=0):
-        """Return all records from one on."""
+        """Return all records from number ``start`` on."""
         size, data = self._type.itemsize, b""
         with contextlib.suppress(FileNotFoundError), self._trace.open("rb") as file:
             file.seek(start * size)
@@ -173,13 +174,13 @@ class CortexM3(Machine):
         return np.frombuffer(data[: len(data) // size * size], self._type)
 
     def pulses(self):
-        """Return the pulses so far."""
+        """Return the records of pulses so far."""
         records = self.records()
         return records[records["width_us"] > 0]
 
 
 class Books:
-    """Delivery log of what a machine's record says, kept up to date by a thread."""
+    """Delivery log that a thread writes from the records of a machine."""
 
     def __init__(self, folder, electrodes, output, records):
         self._log, self._records = DeliveryLog(electrodes, folder), records

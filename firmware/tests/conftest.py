@@ -1,4 +1,4 @@
-"""Boards of the firmware: processes of their own, behind a port."""
+"""Fixtures that start boards with the C firmware, each in a process of its own with a port."""
 
 import select
 import subprocess
@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-sys.path.append(str(Path(__file__).parents[2]))  # last: an installed package comes first
+sys.path.append(str(Path(__file__).parents[2]))  # at the end: use an installed package
 pytest_plugins = ["tests.fixtures"]
 
 
 @pytest.fixture
 def start_firmware():
-    """Return a starter of the C core behind a pseudo-terminal: the process and its port."""
+    """Return a function that starts the C core on a pseudo-terminal: its process and port name."""
     from firmware.tests.build import host
 
     started = []
@@ -39,7 +39,7 @@ def start_firmware():
 
 @pytest.fixture
 def start_cortex_m3(tmp_path):
-    """Return a starter of the firmware on a Cortex-M3, as `CortexM3`."""
+    """Return a function that starts the firmware on an emulated Cortex-M3 (`CortexM3`)."""
     from firmware.tests.build import CortexM3
 
     started = []

@@ -1,7 +1,7 @@
-"""What a ``link`` board must refuse by itself, from ``firmware/PROTOCOL.md`` alone.
+"""Model of what a ``link`` board must refuse, written only from ``firmware/PROTOCOL.md``.
 
-Passes are kept one by one, with no bucket but to say how long each counts: neither the C core nor
-the Python emulator works so.
+The model keeps single passes, and uses buckets of time only to decide how long a pass counts. The
+C core and the Python emulator keep sums instead.
 """
 
 import struct
@@ -20,7 +20,7 @@ def _bucket(time_us):
 
 
 def _above(rule, each, allowed, slot=NOTHING):
-    """Return a refusal by the first electrode above what is allowed; None if there is none."""
+    """Return a refusal for the first electrode whose value exceeds the allowed one, or None."""
     allowed = np.broadcast_to(allowed, np.shape(each))
     over = np.flatnonzero(each > allowed)
     if not len(over):
@@ -30,7 +30,7 @@ def _above(rule, each, allowed, slot=NOTHING):
 
 @dataclass
 class Limits:
-    """Numbers of LIMITS, in the order in which they are sent."""
+    """Fields of LIMITS, in the order of the payload."""
 
     period_us: int = 5000
     total_ua: int = 10_000
@@ -56,7 +56,7 @@ class Limits:
         return head + b"".join(struct.pack(f"<{len(of)}{kind}", *of) for kind, of in each)
 
     def capped(self, switched=False):
-        """Return what a board makes of them."""
+        """Return the limits that the board applies: the stricter of these and its own."""
         return Limits(
             max(5000, self.period_us), min(5000 if switched else 10_000, self.total_ua),
             min(200, self.width_us), min(5000, self.full_ua),
@@ -70,7 +70,7 @@ class Limits:
 
 @dataclass
 class Scan:
-    """A sequence of slots: width, discharge, currents; or states, with the source's current."""
+    """Sequence of slots (width, discharge, currents), or (width, discharge, states) of a source."""
 
     period_us: int
     slots: list
@@ -80,9 +80,9 @@ class Scan:
     recharge_ua: tuple = ()
     source_ua: int = 0
     more: bool = False
-    """Whether the scan goes on in the next sequence."""
+    """Whether the next sequence continues this scan."""
     goes_on: bool = False
-    """Whether this is a further part of the scan before it."""
+    """Whether this sequence continues the scan of the one before it."""
 
     def payload(self):
         flags = 2 * bool(self.recharge_ua) | 4 * self.more | 8 * self.goes_on
@@ -102,7 +102,7 @@ class Scan:
         return b"".join(parts)
 
     def nominal(self):
-        """Return the currents of the slots, (S, E); of one source its share, rounded up."""
+        """Return the currents of the slots, (S, E) µA; of a source, equal shares, rounded up."""
         if not self.slots:
             return np.zeros((0, 1), np.int64)
         rows = np.array([each for _, _, each in self.slots], np.int64)
@@ -131,7 +131,7 @@ class _Pass:
 
 @dataclass
 class _Rise:
-    """A level of intensity, and the current that flows since."""
+    """State of the ramp: the level, and strength, start and duration of the current since then."""
 
     ramp_us: int
     level: int = 0
@@ -140,7 +140,7 @@ class _Rise:
     span_us: int = 0
 
     def risen(self, start_us):
-        """Return the level then, and the time with current until then."""
+        """Return the level at ``start_us``, and the time with current before it, µs."""
         on_us = min(max(0, start_us - self.since_us), self.span_us)
         if start_us - self.since_us - on_us > 15_000_000:
             return 0, on_us
@@ -157,7 +157,7 @@ class _Rise:
 
 @dataclass
 class Judge:
-    """A board's law and what it remembers, over sessions."""
+    """Model of a board, which applies the rules and remembers passes across sessions."""
 
     electrodes: int = 4
     ramp: bool = True
@@ -169,7 +169,7 @@ class Judge:
     flowing: list = field(default_factory=list)
     """Starts of all passes with slots."""
     scan: Scan = None
-    """What was accepted of the scan of the last sequence, as one sequence."""
+    """All accepted parts of the last scan, joined to one sequence."""
 
     def begin(self, limits, switched=False):
         self.limits, self.switched = limits.capped(switched), switched
@@ -180,7 +180,7 @@ class Judge:
         self.rise = _Rise(1000 * self.limits.ramp_ms)
 
     def stop(self, now_us):
-        """Cut off what executes."""
+        """End the scan that executes."""
         self.advance(now_us)
         self.coming = ()
         if self.passes:
@@ -190,7 +190,7 @@ class Judge:
             )
 
     def advance(self, now_us):
-        """Begin the passes that are due."""
+        """Begin all passes that are due."""
         while self.coming and self.coming[1] <= now_us:
             scan, start_us, left = self.coming
             one = self._pass(scan, start_us)
@@ -215,16 +215,16 @@ class Judge:
         return max(now_us, last.over_us if scan is not None and scan.goes_on else last.end_us)
 
     def whole(self, scan):
-        """Return a part with those before it as one sequence."""
+        """Return a part joined to the accepted parts before it, as one sequence."""
         if not scan.goes_on:
             return scan
         return replace(scan, slots=[*self.scan.slots, *scan.slots])
 
     def accept(self, scan, now_us):
-        """Begin a scan that has been found right, now or when the one at hand is over."""
+        """Accept a scan, which begins now or when the executing one is over."""
         start_us = self.start_us(now_us, scan)
         if scan.goes_on:
-            # The part before ends with its slots; the period is the scan's.
+            # The part before ends when this one begins; the period belongs to the whole scan.
             self.scan_end_us = self.passes[-1].end_us
             if self.scan_end_us > now_us:
                 self.passes[-1] = replace(self.passes[-1], end_us=start_us)
@@ -244,7 +244,7 @@ class Judge:
         return min(FULL, rise.risen(start_us)[0] + 150_000 * FULL // rise.ramp_us + 2)
 
     def refusal(self, scan, now_us):
-        """Return rule, slot, electrode, value and what is allowed; None if all is right."""
+        """Return (rule, slot, electrode, value, allowed value) if a rule is broken, or None."""
         start_us, before = self.start_us(now_us, scan), self.scan
         if scan.goes_on and not (
             before is not None
@@ -294,7 +294,7 @@ class Judge:
             total = source or int(each.sum()) // 2
             if total > limits.total_ua:
                 return Rule.TOTAL, slot, NOTHING, total, limits.total_ua
-            # One source may find a single electrode on the skin.
+            # If only one electrode of a pole touches the skin, it carries the whole current.
             carried = np.where(each > 0, source, 0) if source else each
             if found := _above(Rule.CHARGE, carried * width, limits.charge_pc, slot):
                 return found
@@ -361,7 +361,7 @@ class Judge:
         return _above(Rule.SESSION_CHARGE, charge, self.limits.session_uc)
 
     def _window(self, at_us, now_us):
-        """Return felt pulses, charge and net charge of the passes that count then, (P, E) each."""
+        """Return felt pulses, charge and net charge, (P, E), of the passes that count at a time."""
         kept = [
             each
             for each in self.passes
@@ -374,7 +374,7 @@ class Judge:
         return [np.array([getattr(each, name) for each in kept]).reshape(shape) for name in columns]
 
     def _net(self, before, own):
-        """Return the largest net charge of any last passes, (E,)."""
+        """Return the largest net charge of consecutive passes up to the last, (E,) pC."""
         passes = np.concatenate([before, own])
         return np.abs(passes[::-1].cumsum(axis=0)).max(axis=0)
 
@@ -389,7 +389,7 @@ class Judge:
         )  # fmt: skip
 
     def _strength(self, scan):
-        """Return what a scan's intensity amounts to, by its strongest pulse."""
+        """Return the strength of a scan (see PROTOCOL.md, Rise), from its strongest pulse."""
         widths = [width for width, _, _ in scan.slots]
         peak_pc = max(
             (int(np.abs(row).max()) * width

@@ -1,4 +1,4 @@
-"""Lives of a board whose host has no gate: random scans, and scans at the edge of each rule."""
+"""Histories of a board whose host has no gate: random scans, and scans at the edge of each rule."""
 
 import itertools
 from collections import Counter
@@ -15,7 +15,7 @@ ELECTRODES = 4
 
 
 class Life:
-    """A host without a gate and a board of the C core, and the judge who sees what passes."""
+    """Host without a gate, board of the C core, and a `Judge` that predicts each decision."""
 
     def __init__(self, core, seed, output="weighted", ramp=True):
         self.core, self.rng = core, np.random.default_rng(seed)
@@ -25,9 +25,9 @@ class Life:
         self.begun, self.talk.pulses = [], []
 
     def begin(self, limits=None):
-        """Begin a session, some of which allow little."""
+        """Begin a session with the limits given, or with random ones, some of which are strict."""
         if hasattr(self, "limits"):
-            # A session that goes on takes the next HELLO for a stranger's.
+            # End the live session: in a live session, a board refuses the HELLO of the next one.
             self.judge.stop(self.talk.now_us)
             self.talk.say(MessageKind.STOP)
             self._note()
@@ -60,7 +60,7 @@ class Life:
             time_us -= step_us
 
     def send(self, scan):
-        """Send a scan when it can wait; check what the board decides, and return it."""
+        """Send a scan when the board can queue it; check and return the board's decision."""
         self.wait(max(0, self.free_us - self.talk.now_us))
         now_us = self.talk.now_us
         wanted = self.judge.refusal(scan, now_us)
@@ -81,7 +81,7 @@ class Life:
         return wanted
 
     def send_in_parts(self, scan):
-        """Send a scan's slots in parts, some of which are late, wrong or never come."""
+        """Send a scan in parts. At random, a part comes late, is wrong, or is the last one sent."""
         rng = self.rng
         cuts = sorted({0, *rng.integers(0, len(scan.slots) + 1, 3).tolist(), len(scan.slots)})
         scan.times = 1
@@ -99,11 +99,11 @@ class Life:
                 return
 
     def report(self):
-        """Check what the board reports of the second and the session."""
+        """Check the figures of the last second and of the session in the board's REPORT."""
         self.judge.advance(self.talk.now_us)
         assert self.begun == self.judge.flowing
         if self.switched:
-            # The emulator reports what the skin lets through of a source.
+            # For a switched board, the emulator reports the currents through its skin model.
             return
         (report,) = (
             each for each in self.talk.say(MessageKind.STATUS) if each.kind == MessageKind.REPORT
@@ -114,7 +114,7 @@ class Life:
         assert found == [self.judge.most_net_pc, seconds, charge_uc]
 
     def _note(self):
-        """Compare the starts of passes, by the pulse of their first slot."""
+        """Record the starts of passes, from the pulses of their first slots."""
         self.begun += [each[4] for each in self.talk.pulses if each[1] == 0]
         self.talk.pulses = []
 
@@ -145,7 +145,7 @@ class Life:
         return scan
 
     def _recharge(self, scan):
-        """Take back what the electrodes carry, or about so."""
+        """Add a recharge phase that removes half or all of the charge, too much, or adds charge."""
         carried = self.judge.net_pc + self.judge._pass(scan, 0).net_pc
         scan.recharge_us = int(self.rng.integers(1, scan.period_us))
         back = -int(carried[0]) / scan.recharge_us * float(self.rng.choice([0.5, 1, 2.1, -1]))
@@ -153,7 +153,7 @@ class Life:
         scan.recharge_ua = (back, -back, 0, 0)
 
     def play(self, scans):
-        """Decide on scans, half of which lie at the edge of what is refused."""
+        """Send random scans until ``scans`` are decided; many lie at the edge of a rule."""
         while self.decided.total() < scans:
             if self.number == 0 or self.rng.random() < 0.03:
                 self.begin()
@@ -172,7 +172,7 @@ class Life:
         return self
 
     def _edge(self, scan):
-        """Send what is just too much of something, and then what is just right."""
+        """Vary one quantity of a scan: send the least refused value, then the last accepted one."""
         self.wait(max(0, self.free_us - self.talk.now_us))
         what = self.rng.choice(["times", "louder", "intensity", "period"])
 
@@ -208,7 +208,7 @@ class Life:
 
 
 def often(life):
-    """Begin sessions and cut them off, 4 ms each: more scans than a second may begin."""
+    """Begin more scans in a second than allowed, each in a session that ends after 4 ms."""
     limits = Limits(ramp_ms=500, current_ua=(5000,) * ELECTRODES)
     short = Scan(5000, [(20, 20, (2, -2, 0, 0))], intensity=0)
     for _ in range(260):
@@ -219,14 +219,14 @@ def often(life):
 
 
 def net(life):
-    """Scans whose charge has one sign, and after a second of the other: any last passes count."""
+    """Send net charge of one sign for over a second, then of the other: a rule limits both."""
     life.begin(Limits(felt_ua=(5000,) * ELECTRODES))
     for sign in (-1, 1, -1):
         one = Scan(20_000, [(200, 40, (sign * 1200, -sign * 1200, 0, 0))] * 5)
         for _ in range(60):
             life.send(one)
             life.wait(20_000)
-    # Half a bucket of time takes back what the other half has brought.
+    # Within a bucket of 50 ms, the second half removes the charge of the first half.
     life.wait(1_050_000 - life.talk.now_us % 50_000)
     for sign in [-1] * 5 + [1] * 5 + [1] * 20:
         life.send(Scan(5000, [(200, 40, (sign * 2500, -sign * 2500, 0, 0))] * 5))
@@ -237,7 +237,7 @@ def net(life):
 
 
 def felt(life):
-    """As many pulses as a period may have, 25 times a second: the second has no room for all."""
+    """Send as many pulses as a period allows, 25 times a second: more than a second allows."""
     life.begin(Limits(felt_ua=(0,) * ELECTRODES, session_s=9))
     pair = [(20, 20, (30, -30, 0, 0)), (20, 20, (-30, 30, 0, 0))]
     for slots in (61, 60, 60):
@@ -251,7 +251,7 @@ def felt(life):
 
 
 def charge(life):
-    """The same for charge of either sign, which 500 µA on the mean carry."""
+    """Send as much charge of either sign as a period allows (500 µA on average), too often."""
     life.begin(Limits(felt_ua=(5000,) * ELECTRODES))
     pair = [(200, 40, (2500, -2500, 0, 0)), (200, 40, (-2500, 2500, 0, 0))]
     for _ in range(40):
@@ -263,7 +263,7 @@ def charge(life):
 
 
 def session(life):
-    """To the end of the session's time and of its charge."""
+    """Send scans until a session has used up its time, and until another has used up its charge."""
     loud = [(100, 40, (2000, -2000, 0, 0)), (100, 40, (-2000, 2000, 0, 0))]
     for session_s, session_uc in ((1, 1000), (9, 30)):
         life.begin(Limits(session_s=session_s, session_uc=session_uc))
@@ -277,7 +277,7 @@ def session(life):
 
 
 def rise(life):
-    """Claims without current, silence, weak current, and enough of it: what opens a level."""
+    """State intensities with no, weak and enough current: only current raises the level."""
     life.begin(Limits())
     silent, weak, enough = ({"of": part} for part in (None, 0.01, 1))
     for current, times, wait_us, claims in (
@@ -291,10 +291,10 @@ def rise(life):
             for intensity in (min(FULL, top + 1), top):
                 life.send(Scan(20_000, _counting(intensity, **current), times, intensity))
             life.wait(wait_us)
-        # Silence that claims nothing lowers nothing.
+        # A scan without slots at intensity 0 does not lower the level.
         life.send(Scan(20_000, [], 1, 0))
         life.wait(20_000)
-    # Strong ones after weak ones that claimed as much.
+    # Strong pulses after weak pulses, at intensities that the weak ones have stated.
     for intensity in (1000, FULL // 2, FULL):
         life.begin(Limits())
         life.send(Scan(500_000, _counting(FULL, 0.05), 1, intensity))
@@ -307,7 +307,7 @@ def rise(life):
 
 
 def _counting(intensity, of):
-    """Return the weakest pulse that counts for an intensity, times a part; none if that is None."""
+    """Return the weakest pulse that counts as an intensity, times ``of``; none if that is None."""
     if of is None:
         return []
     level = min(1250, int(of * -(-1250 * intensity // FULL)))
@@ -315,7 +315,7 @@ def _counting(intensity, of):
 
 
 def recharge(life):
-    """Recharge phases of each sign, long ones, and one that ends where the period does."""
+    """Send recharge phases of each sign, also long ones that end near the end of the period."""
     life.begin(Limits())
     pulse = [(200, 40, (1000, -1000, 0, 0))]
     for sign in (1, -1):
@@ -333,7 +333,7 @@ def recharge(life):
 
 
 def one_source(life):
-    """A source whose current two electrodes share, if both are on the skin."""
+    """Send slots of one source; two electrodes share its current if both touch the skin."""
     life.begin(Limits(charge_pc=(300_000,) * ELECTRODES))
     for source_ua in (3000, 3001, 5000, 5001):
         for states in ((1, 1, -1, -1), (1, -1, 0, 0)):
@@ -346,7 +346,7 @@ def one_source(life):
 
 
 def limits(life):
-    """Limits that ask for more than a board gives, and fields left out."""
+    """Begin sessions with limits that exceed the board's own, and with a limit left at zero."""
     loud = 6000
     each = {"current_ua": 65_535, "felt_ua": 65_535, "charge_pc": 1 << 31}
     wide = {"total_ua": 60_000, "width_us": 900, "full_ua": 65_535, "rounding_ua": 60_000,
@@ -364,7 +364,7 @@ def limits(life):
 
 
 def parts(life):
-    """Scans in parts, of which the last is just too much, or just right, for the whole."""
+    """Send scans in parts: with the last part, the whole scan breaks a rule, or barely keeps it."""
     pair = [(20, 20, (30, -30, 0, 0)), (20, 20, (-30, 30, 0, 0))]
     loud = [(200, 40, (2500, -2500, 0, 0)), (200, 40, (-2500, 2500, 0, 0))]
     weak = [(200, 40, (25, -25, 0, 0))]
@@ -386,12 +386,12 @@ def parts(life):
                     life.send(part)
                     life.wait(wait_us)
         life.wait(20_000)
-    # Many scans of three parts are no more often than they begin.
+    # The rule on scans a second counts a scan of three parts once.
     life.begin(Limits(period_us=20_000))
     for _ in range(80):
         for which in ({"more": True}, {"more": True, "goes_on": True}, {"goes_on": True}):
             life.send(Scan(20_000, [(20, 20, (2, -2, 0, 0))], 1, 0, **which))
-    # Nothing goes on after a whole scan, or at another period.
+    # A part must follow an incomplete scan, and have the same period.
     for period_us, which in (
         (20_000, {"more": True}),
         (20_001, {"goes_on": True}),
@@ -406,7 +406,7 @@ def parts(life):
 
 
 def rising_parts(life):
-    """Scans that open a level, strongest in their first part, or in their last one."""
+    """Raise the level by scans in two parts, with the strongest pulse in the first or the last."""
     weak, strong = ([(200, 40, (ua, -ua, 0, 0))] for ua in (30, 1000))
     life.begin(Limits())
     for first, last in ((weak, strong), (strong, weak), (weak, weak), (strong, strong)):

@@ -1,7 +1,7 @@
-"""Makes inputs for the fuzzer to begin with: ``python -m firmware.tests.make_seeds FOLDER``.
+"""Seed inputs for the fuzzer: ``python -m firmware.tests.make_seeds FOLDER`` writes them.
 
-Each is a board's life in the acts of ``firmware/fuzz/st_fuzz.c``: sequences that are mostly right,
-so that pulses flow from the start.
+Each input is the history of a board as a list of acts, see ``firmware/fuzz/st_fuzz.c``. Most
+sequences are valid, so that pulses flow from the start.
 """
 
 import sys
@@ -20,11 +20,11 @@ def _act(kind, count, body=b""):
 
 
 def life(seed):
-    """Return one input."""
+    """Return one input: a byte of flags, then acts."""
     number = seed % 3
     scene = Scene(None, seed, output=OUTPUTS[number], worn=bool(seed & 1))
     flags = RAMP * (seed % 7 == 0) | REAL_TIME * (seed % 5 == 0) | VOLTAGES * (seed & 1)
-    # Its own number is the remainder by three.
+    # The fuzzer takes the kind of output from this byte modulo 3.
     first = next(each for each in range(flags, flags + 3) if each % 3 == number)
     scene.image = KernelImage.of(random_table(scene.rng, 9, 6), 2048, 16)
     acts = [bytes([first]), _act(BEGIN, 0), _act(LIMITS, 0)]
@@ -41,4 +41,4 @@ if __name__ == "__main__":
     folder.mkdir(parents=True, exist_ok=True)
     for seed in range(120):
         (folder / f"life-{seed:03}").write_bytes(life(seed))
-    print(f"120 lives in {folder}")
+    print(f"120 inputs in {folder}")

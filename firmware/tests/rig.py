@@ -1,4 +1,4 @@
-"""The C core in this process, and both boards side by side on a clock that the test sets."""
+"""The C core in this process and the Python emulator, to compare them in simulated time."""
 
 import ctypes
 import itertools
@@ -33,7 +33,7 @@ WEAR = ctypes.CFUNCTYPE(
 
 
 class Core:
-    """One board of the C core; bytes and pulses are collected."""
+    """One board of the C core in this process, which collects sent bytes and begun pulses."""
 
     out = np.zeros(ROOM, np.uint8)
     columns = tuple(np.zeros(ROOM // 4, np.uint32) for _ in range(4))
@@ -62,9 +62,9 @@ class Core:
         self._core.st_rig_free(self._rig)
 
     def wear(self, skin):
-        """Let a skin tell of each pulse the source's voltage, 10 mV, and the most left, pC.
+        """Attach a skin: a function that returns source voltage (10 mV) and largest charge left.
 
-        It is called with width, rest, source, start and currents.
+        The charge is in pC. Arguments are width, rest, source current, start and currents of a pulse.
         """
 
         def pulse(times, start_us, current_ua, found):
@@ -101,7 +101,7 @@ class Core:
         self.take()
 
     def take(self):
-        """Return the bytes said and the pulses begun since the last call."""
+        """Return the bytes sent and the pulses begun since the last call."""
         count = ctypes.c_uint32()
         every = (self.out, *self.columns, self.starts, self.currents)
         pointers = [each.ctypes.data_as(ctypes.c_void_p) for each in every]
@@ -122,7 +122,7 @@ class Core:
 
 
 class Worn:
-    """The emulator's skin, under a board of the C core that switches or weights."""
+    """The emulator's skin model, attached to a board of the C core."""
 
     def __init__(self, electrodes, switched=False):
         self.skin, self.switched = SkinCircuit(electrodes), switched
@@ -146,7 +146,7 @@ def in_10_mv(volts):
 
 
 class PulseBooks(DeliveryLog):
-    """Books that keep every pulse as `Core` reports it, and what it left where there is a skin."""
+    """Delivery log that keeps each pulse as `Core` reports it, and charge left only if ``worn``."""
 
     worn = False
 
@@ -159,7 +159,7 @@ class PulseBooks(DeliveryLog):
 
 
 class Emulated:
-    """The Python emulator, with the same numbers where chance would give others."""
+    """The Python emulator; it counts sessions from 1 where a board draws random numbers."""
 
     def __init__(self, electrodes, output="weighted", ramp_ms=500, worn=False, **given):
         self.log = PulseBooks(electrodes)
@@ -194,11 +194,10 @@ class Emulated:
 
 
 class Both:
-    """The same bytes to each board; what they answer and deliver must be the same, of pulses that
-    are not ``felt`` all but their currents.
+    """Boards that get the same bytes, and must answer and deliver the same.
 
-    The emulator tells of a recharge phase when it is over, the core when it begins: they are kept
-    apart, in `recharges`, as number, start and currents.
+    If not ``felt``, the currents of pulses may differ. The emulator reports a recharge phase at its
+    end, the core at its beginning: `recharges` lists number, start and currents for each board.
     """
 
     def __init__(self, *boards, felt=True):
@@ -240,7 +239,7 @@ class Both:
 
 
 def encode_lists(sequence, times, measure, switched, image, most_bytes):
-    """Return the payload of a SEQUENCE that a board has room for at once."""
+    """Return the payload of a SEQUENCE that fits into one packet."""
     can = Capabilities(
         sequence.electrodes, "three-state" if switched else "weighted", 5.0, 1 << 16, 100.0, "",
         measures=measure, packet_bytes=most_bytes + OVERHEAD,
@@ -250,14 +249,14 @@ def encode_lists(sequence, times, measure, switched, image, most_bytes):
 
 
 class Talk:
-    """A host that talks to a board, packet by packet."""
+    """Host that sends single packets to a board and reads the answers."""
 
     def __init__(self, board, half=0x5EED):
         self.board, self.now_us = board, 0
         self.half = half
 
     def begin(self, limits=None, image=None):
-        """Begin a session; give limits and kernels if there are any."""
+        """Begin a session, and send limits and kernels if they are given."""
         self.half += 1
         self.host = LinkSession(lambda message: None, lambda: self.half)
         self.say(MessageKind.HELLO)
@@ -277,14 +276,14 @@ class Talk:
             at += len(piece)
 
     def say(self, kind, about=0, payload=b"", data=b""):
-        """Return the board's answers, as messages."""
+        """Send a packet, or the bytes of ``data``; return the answers as messages."""
         answer, self.pulses = self.board.feed(
             data or self.host.encode(kind, about, payload), self.now_us
         )
         return self.host.take(answer)
 
     def wait(self, time_us, step_us=5000):
-        """Let time pass; return what the board says meanwhile."""
+        """Let time pass; return the messages that the board sends meanwhile."""
         heard, pulses, end_us = [], [], self.now_us + time_us
         while self.now_us < end_us:
             self.now_us = min(end_us, self.now_us + step_us)

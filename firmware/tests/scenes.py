@@ -1,4 +1,4 @@
-"""Random lives of a host and its board, the same each time."""
+"""Random histories of hosts and a board, reproducible from their seed."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanS
 
 
 def random_table(rng, kernels, electrodes):
-    """Return a table of balanced kernels, some of them with gaps."""
+    """Return a table of balanced kernels, some of which have zero weights."""
     weights = rng.normal(size=(kernels, electrodes))
     weights[rng.random(weights.shape) < rng.choice([0.0, 0.7], size=(kernels, 1))] = 0
     weights[:, 0] -= weights.sum(axis=1)
@@ -19,7 +19,7 @@ def random_table(rng, kernels, electrodes):
 
 
 def random_lists(rng, table, slots, most=3, loud=4000):
-    """Return slots of random sums whose amplitudes stay below ``loud`` together."""
+    """Return slots that are random sums of kernels, with total amplitudes below ``loud``."""
     first = np.concatenate([[0], rng.integers(1, most + 1, slots).cumsum()])
     count = int(first[-1])
     kernel = rng.integers(0, len(table.weights), count).astype(np.uint16)
@@ -28,7 +28,7 @@ def random_lists(rng, table, slots, most=3, loud=4000):
 
 
 def sequence_of(lists, **other):
-    """Return a sequence of lists."""
+    """Return the scan sequence of kernel lists."""
     column = np.ones(len(lists.first) - 1, np.uint16)
     fields = {
         "current_ua": lists.current_ua, "width_us": 100 * column, "discharge_us": 50 * column,
@@ -38,10 +38,10 @@ def sequence_of(lists, **other):
 
 
 class Scene:
-    """One board's life with hosts that come and go, and break every rule now and then.
+    """Random history of a board, whose hosts come and go, and sometimes break a rule.
 
-    Where boards have the same skin, ``worn``, voltages are asked for; then nothing is recharged, as
-    the boards tell of that at different times.
+    If ``worn``, boards have the same skin model, and hosts request voltages. Then hosts send no
+    recharge phases, because emulator and core report those at different times.
     """
 
     def __init__(self, board, seed, electrodes=6, output="weighted", ramp_ms=0, worn=False):
@@ -141,7 +141,7 @@ class Scene:
         if self.chance(0.05):
             other["period_us"] = int(rng.choice([4999, 5000, 900]))
         if self.chance(0.05) and slots > 2 and not self.switched:
-            # Much at one electrode: too much charge in a period.
+            # Strong pulses at one electrode have too much charge for a period.
             much = np.zeros((30, self.electrodes), np.int16)
             much[:, :2] = rng.choice([1900, 2600, 3100]) * np.array([1, -1])
             other |= {"current_ua": much, "sums": None, "intensity": 1.0}

@@ -1,4 +1,4 @@
-"""The C core beside the Python emulator: the same bytes in, the same bytes and pulses out."""
+"""The C core and the Python emulator answer equal bytes with equal bytes and pulses."""
 
 from collections import Counter
 
@@ -16,7 +16,7 @@ from smarttouch.boards.link.sequence_encoding import KernelImage
 
 @pytest.fixture
 def make_core():
-    """Return a maker of boards of the C core."""
+    """Return a function that makes a board of the C core."""
     cores = []
 
     def make(*given, **named):
@@ -35,7 +35,7 @@ def make_core():
 def test_answers_and_pulses_are_the_emulators(make_core, output, seed):
     ramp_ms = (0, 500)[seed % 2]
     boards = emulated, core = Emulated(6, output, ramp_ms), make_core(6, output, ramp_ms)
-    # Impedances divide a source's current on the emulator's skin; in the core nothing does.
+    # On the emulator's skin, impedances divide the current of a source; the core has no skin.
     both = Both(*boards, felt=output == "weighted")
     Scene(both, seed, output=output, ramp_ms=ramp_ms).play(150)
     books = both.books()
@@ -47,16 +47,16 @@ def test_answers_and_pulses_are_the_emulators(make_core, output, seed):
     driven_pc = core.driven_pc()
     assert max(map(abs, driven_pc)) > 1000
     if output == "weighted":
-        # Recharge phases that were cut off included.
+        # This includes recharge phases that were cut short.
         np.testing.assert_allclose(driven_pc, emulated.driven_pc(), atol=0.5)
 
 
 @pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
 def test_voltages_and_charge_are_the_emulators(make_core, output):
-    """On the same skin: what each scan answers, what REPORT has of what was left."""
+    """With the same skin model, VOLTAGES and the charge left in REPORT are equal."""
     core = make_core(6, output, 0).wear(Worn(6, output != "weighted"))
     boards = Emulated(6, output, 0, worn=True), core
-    # What a switched board splits equally in its books, impedances divide on the skin.
+    # A switched board reports equal shares of its current, but on the skin impedances divide it.
     both = Both(*boards, felt=output == "weighted")
     scene = Scene(both, 3, output=output, worn=True)
     scene.play(60)
@@ -67,7 +67,7 @@ def test_voltages_and_charge_are_the_emulators(make_core, output):
 
 
 def test_no_table_passes_for_another(make_core):
-    """The proof is of these bytes and this session; a table is not taken by another's identity."""
+    """A proof holds for one table in one session. A table with another's identity is refused."""
     rng = np.random.default_rng(0)
     image, other = (KernelImage.of(random_table(rng, 4, 6), 1 << 20, 9) for _ in range(2))
     talk = Talk(Both(Emulated(6), make_core(6)))
@@ -106,7 +106,7 @@ def test_silence_is_zero_within_100_ms(make_core):
 
 @pytest.fixture
 def driving(make_core):
-    """Return a core in real time, a host that talks to it, and a sequence of four slots."""
+    """Return a core in real time, its host, and a sequence of four slots."""
     core = make_core(6, ramp_ms=0, played=False)
     scene = Scene(core, 1)
     lists = random_lists(scene.rng, random_table(scene.rng, 4, 6), 4)
@@ -118,7 +118,7 @@ def test_in_real_time_scans_that_were_missed_are_not_made_up_for(driving):
     talk.send(sequence, 1, times=1000)
     starts = [each[4] for each in talk.pulses]
     starts += [each[4] for now_us in range(0, 20_000, 50) for each in core.advance(now_us)[1]]
-    # The loop stands still for six periods; the next scans keep their period all the same.
+    # The loop pauses for six periods; after that, scans keep their period.
     starts += [each[4] for now_us in range(80_000, 98_000, 50) for each in core.advance(now_us)[1]]
     missed = [each for each in starts if each >= 80_000]
     assert len(missed) == 8

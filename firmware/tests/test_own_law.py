@@ -1,4 +1,4 @@
-"""What the C core refuses by itself, beside a judge; a core without one rule is detected."""
+"""The C core refuses the same scans as a `Judge`; tests detect a core that lacks one rule."""
 
 import ctypes
 import hashlib
@@ -31,7 +31,7 @@ from smarttouch.boards.link import MessageKind, Refusal
 from tests.support.full import WHOLE as IS_WHOLE
 
 SCANS = 2500 if IS_WHOLE else 150
-"""Scans that emulator, core and judge decide on, four times."""
+"""Number of scans in each of four random histories."""
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def test_emulator_and_core_refuse_what_the_judge_refuses(make_life, output, ramp
 
 
 def lived(make_life, built, play, both=False):
-    """Play a life to the core of a library."""
+    """Play one of `LIVES` to a core from a library, and compare the emulator if ``both``."""
     output = "three-state" if play is one_source else "weighted"
     return play(
         make_life(built, output=output, ramp=play in (rise, limits, rising_parts), both=both)
@@ -153,7 +153,7 @@ def test_a_core_without_one_rule_is_found_out(make_life, tmp_path, name):
 
 
 def test_the_switch_ends_what_flows(make_life):
-    """Once it is open nothing begins; closing it begins nothing either."""
+    """No pulse begins once the emergency switch is open, nor when it closes again."""
     life = make_life(library(), both=True).begin(Limits())
     talk, scan = life.talk, Scan(20_000, [(100, 40, (3, -3, 0, 0))] * 20, 50, 0)
     reasons = []
@@ -176,7 +176,7 @@ def test_the_switch_ends_what_flows(make_life):
     life.core.switch(False)
     talk.wait(40_000)
     assert talk.pulses == []
-    # The same BEGIN comes again: the challenge is still good.
+    # BEGIN of the same session now succeeds, because its challenge is still valid.
     talk.say(MessageKind.BEGIN)
     assert talk.host.begun
     talk.say(MessageKind.LIMITS, payload=Limits().payload())
@@ -213,7 +213,7 @@ def test_at_whatever_time_the_switch_opens(make_life, at_us, look_us):
 
 @pytest.mark.parametrize("piece", [1, 7, 64, 1000])
 def test_sha_256(piece):
-    """FIPS 180-4's examples, and every length around a block."""
+    """Examples of FIPS 180-4, and all lengths up to 129 bytes (a block has 64 bytes)."""
     core = ctypes.CDLL(str(library()))
     every = [b"abc", b"abcdbcdecdefdefgefghfghighijhijkijkljklmklmnlmnomnopnopq", b"a" * 1_000_000]
     for data in every[: 2 + (piece == 1000)] + [bytes(range(size)) for size in range(130)]:

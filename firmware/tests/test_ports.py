@@ -1,7 +1,7 @@
-"""What no port may break: its times, its interrupts, what it leaves out; and what the core takes of
-a small processor, and which of MISRA's required rules it keeps.
+"""The core on any port: slow functions, interrupts, missing fields; its size and stack on a small
+processor, and the required rules of MISRA that it keeps.
 
-``pytest -n0 -s firmware/tests/test_ports.py`` prints its size.
+``pytest -n0 -s firmware/tests/test_ports.py`` prints size and stack.
 """
 
 import re
@@ -26,8 +26,8 @@ NOT_THERE = {
 
 
 def check(program, *words, seconds=590):
-    """Return what a program found; raise `AssertionError` if it found something wrong."""
-    # One that has lost a guard may go on for ever.
+    """Run a program and return its output; raise `AssertionError` if it reports a fault."""
+    # A program that lacks a guard may never end.
     command = ["timeout", str(seconds), program, *map(str, words)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -40,7 +40,7 @@ def checks(name="st_checks"):
 
 @pytest.mark.parametrize("slots", [1_500, pytest.param(1_000_000, marks=pytest.mark.long)])
 def test_the_rest_is_kept_however_long_a_port_takes(slots):
-    """Functions that take 0 to 500 us at random, and call `st_zero` now and then."""
+    """The port's functions take 0 to 500 µs at random, and sometimes call `st_zero`."""
     found = re.match(
         r"(\d+) slots, 0 overlaps, 0 after (\d+) zeros", check(checks(), "times", slots)
     )
@@ -49,7 +49,7 @@ def test_the_rest_is_kept_however_long_a_port_takes(slots):
 
 
 def test_an_interrupt_ends_all():
-    """Under a thread sanitizer, which ends the program if two threads meet in memory."""
+    """The thread sanitizer ends the program if two threads access the same memory at once."""
     assert " 0 overlaps, 0 after " in check(checks("st_checks_threads"), "interrupts", 1000)
 
 
@@ -96,7 +96,7 @@ def test_a_core_without_one_guard_is_found_out(tmp_path, name):
 @pytest.mark.long
 @pytest.mark.parametrize("shift", [2, 3, 4, 6])
 def test_rests_on_a_cortex_m3(shift):
-    """Of slots of 1 to 24 kernels at 250 to 15.6 MIPS: kept, or refused with the slot."""
+    """At 15.6 to 250 MIPS, slots of 1 to 24 kernels keep their discharge times or are refused."""
     elf = built("measure", "st_measure.elf", "arm-none-eabi-gcc", "qemu-system-arm")
     command = ["qemu-system-arm", "-M", "mps2-an385", "-kernel", elf, "-display", "none",
                "-monitor", "none", "-semihosting", "-icount", f"shift={shift}", "-serial",
@@ -107,16 +107,16 @@ def test_rests_on_a_cortex_m3(shift):
     refused = re.findall(r"^refused" + r" (\d+)" * 6 + "$", said, re.M)
     assert len(rests) + len(refused) == 15
     assert [each for each in rests if each[4] < each[2] or each[3] != 32] == []
-    # Rule 27, by a slot that follows another.
+    # A refusal is by rule 27, and never for the first slot, which follows no other.
     assert [each for each in refused if int(each[3]) != 27 or not 0 < int(each[4]) < 32] == []
     assert len(rests) >= (15 if shift < 4 else 5)
-    # At most 150 us beyond what was asked, and what a pass takes to begin.
+    # 32 slots, each at most 150 µs longer than requested, and 6 ms to begin the pass.
     assert [each for each in rests if each[5] > 32 * (250 + each[2]) + 6000] == []
 
 
 @pytest.mark.long
 def test_what_was_built_with_other_options_is_built_again(tmp_path):
-    """A kit's firmware must not pass for another's, whose counts are four times the current."""
+    """Otherwise a kit could get the firmware of another, with four times the current per count."""
     if not SOURCES.is_dir() or shutil.which("make") is None or shutil.which("cc") is None:
         pytest.skip("needs the folder firmware, make and cc")
     times = []
@@ -131,7 +131,7 @@ ADVISORY = re.compile(
     r"1\.2|2\.[34567]|4\.2|5\.9|8\.(7|9|11|13)|10\.5|11\.[45]|12\.[134]|13\.[34]|15\.[145]"
     r"|17\.[58]|18\.[45]|19\.2|20\.[15]|21\.12"
 )
-"""Rules that MISRA C:2012 only advises."""
+"""Advisory rules of MISRA C:2012."""
 
 
 @pytest.mark.long
@@ -172,7 +172,7 @@ def test_size_and_deepest_stack_are_as_documented(tmp_path):
         return stack.get(name, 0) + max(map(deepest, calls.get(name, ())), default=0)
 
     deep = max(deepest(f"st_{each}") for each in ("init", "feed", "advance", "hang_up"))
-    print(f"\ncode {size} bytes, stack {deep} bytes beside what the port's functions take")
+    print(f"\ncode {size} bytes, stack {deep} bytes without the port's functions")
     page = (SOURCES / "README.md").read_text(encoding="utf-8")
     said = re.search(r"(\d+) kB of code, ([\d.]+) kB of stack", page)
     assert size <= 1000 * float(said[1])

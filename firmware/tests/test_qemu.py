@@ -1,7 +1,7 @@
-"""The firmware on processors that QEMU plays.
+"""The firmware on processors emulated by QEMU.
 
-On a Cortex-M3 what is sent is delivered, and silence is zero. On the STM32F405 of a kit's board a
-model of the registers that its pins go to, of shift registers and a converter, tells what flows.
+A Cortex-M3 must deliver what it receives, and go to zero at the host timeout. For the STM32F405
+of a kit, a model of shift registers and D/A converter derives currents from register writes.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ LIMITS = SafetyLimits(ELECTRODES, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 
 
 def scan(level_ua, intensity):
-    """Return four slots from one electrode to another."""
+    """Return a scan of four slots, from one electrode to another."""
     current = np.zeros((4, ELECTRODES), np.int16)
     current[:, :2] = level_ua, -level_ua
     column = np.ones(4, np.uint16)
@@ -40,10 +40,10 @@ def test_noise_is_nothing_and_silence_is_zero_within_100_ms(start_cortex_m3):
     with machine.connected() as board:
         board.line.sendall(rng.bytes(5000) + b"\0")
         talk, sequence = Talk(board), scan(300, 0.25)
-        # A busy machine may be silent for 100 ms before the sequence, too: then once more.
+        # On a busy machine the host can be silent for 100 ms before the sequence: then try again.
         for _ in range(20):
             talk.begin(LIMITS)
-            # The last that this host says.
+            # The host sends nothing after this sequence.
             talk.send(sequence, 1, times=1000)
             time.sleep(0.6)
             if len(told := machine.pulses()):
@@ -53,17 +53,17 @@ def test_noise_is_nothing_and_silence_is_zero_within_100_ms(start_cortex_m3):
         told["current_ua"], np.tile(sequence.current_ua[0], (len(told), 1))
     )
     assert (told["width_us"] == 100).all()
-    # Within a sequence a slot begins no earlier than width and discharge after the one before.
+    # Within a sequence, a slot begins after width and discharge of the slot before it.
     same = told["number"][1:] == told["number"][:-1]
     start_us = told["start_us"].astype(np.int64)
     assert (np.diff(start_us)[same] >= 150).all()
-    # The first slot begins when the sequence has come, which is the last sign of life.
+    # The first slot begins when the sequence arrives, which is the host's last message.
     assert np.ptp(start_us) <= 100_000
 
 
 @pytest.mark.long
 def test_a_board_that_stands_still_is_reset(start_cortex_m3):
-    """Its watchdog begins another life, shorted, which knows of no session."""
+    """The watchdog timer restarts the board, with all electrodes shorted and no session."""
     machine = start_cortex_m3(stands_after=5, counts=True)
 
     def starts():
@@ -72,7 +72,7 @@ def test_a_board_that_stands_still_is_reset(start_cortex_m3):
 
     with machine.connected() as board:
         talk = Talk(board).begin(LIMITS)
-        # Whether it answers or not: first until it stands still, then of the session before.
+        # The board hangs in the first sequence; after the reset it does not know the session.
         board.line.settimeout(1)
         for number in (1, 2):
             with contextlib.suppress(TimeoutError):
@@ -95,19 +95,19 @@ LE, POL, SELECT = 4, 7, 12
 
 @dataclass
 class ShiftRegisters:
-    """HV507 or HV513 behind SPI 1, LE, POL and a timer's BL, and an AD5452 behind SPI 2.
+    """Model of an HV507 or HV513 (SPI 1, LE, POL, and BL from a timer) and an AD5452 (SPI 2).
 
-    By the table of functions in KajiLabHV507B.h: BL low with POL high puts all outputs at ground;
-    POL low inverts them. The AD5452 takes two zeros, counts and two bits that do not matter, at
-    falling edges (phase 1).
+    The shift register follows the table in KajiLabHV507B.h: BL low with POL high puts all outputs
+    at ground; POL low inverts them. The D/A converter reads two zeros, 12 bits of counts and two
+    unused bits, at falling clock edges (phase 1).
 
-    Every write to a register of the processor goes through `write`. What must never be is kept in
-    `wrong`, a sentence each.
+    `write` takes each write to a register of the processor. `wrong` lists forbidden states, one
+    sentence each.
     """
 
     chain_bits: int = 64
     chain: list = field(default_factory=list)
-    """Bits that were shifted in, the last ones last."""
+    """Bits in the order in which they were shifted in."""
     latched: tuple = ()
     levels: dict = field(default_factory=dict)
     edges: dict = field(default_factory=lambda: {LE: 0, POL: 0, SELECT: 0, "clock": 0, "BL": 0})
@@ -118,11 +118,11 @@ class ShiftRegisters:
     high: bool = False
     """Whether BL is high, so that outputs follow the latches."""
     pulses: list = field(default_factory=list)
-    """Output bits, counts and width of each."""
+    """Output bits, counts and width of each pulse."""
     wrong: list = field(default_factory=list)
     zeros: list = field(default_factory=list)
-    """Of each time that all electrodes were shorted: pulses until then, and µs since the last
-    packet, by the board's clock."""
+    """For each time that all electrodes were shorted: the number of pulses before, and the time
+    since the last packet by the board's clock, µs."""
 
     def _pin(self, pin, level):
         if self.levels.get(pin) == level:
@@ -138,7 +138,7 @@ class ShiftRegisters:
 
     def _convert(self, word):
         if word >> 14 or not self.phase:
-            self.wrong.append(f"the converter is told {word:#x} in phase {self.phase}")
+            self.wrong.append(f"the converter gets {word:#x} in phase {self.phase}")
         self.counts, self.word = word >> 2 & 0xFFF, None
         if self.counts and not self.high:
             self.wrong.append("current before BL is high")
@@ -153,7 +153,7 @@ class ShiftRegisters:
                 self._pin(pin, 0)
 
     def write(self, address, value):
-        """Take a write to one of the processor's registers."""
+        """Apply a write to a register of the processor."""
         if address == GPIOA_BSRR:
             self._pins(value, (LE,))
         elif address == GPIOB_BSRR:
@@ -184,11 +184,11 @@ class ShiftRegisters:
 
 
 SILENCE_US = 500_000
-"""As long as the contract of boards lets one take to zero: the machine is played slowly."""
+"""Host timeout of the board under QEMU, which is slow; `DriverContract` allows up to 600 ms."""
 
 
 class F405(Machine):
-    """The board of a kit, and a record of what its processor writes to registers."""
+    """Board of a kit, emulated by QEMU, with a trace of all register writes."""
 
     def __init__(self, folder, kit):
         more = f"-DST_QEMU -DST_KIT={kit} -DST_SILENCE_US={SILENCE_US}u"
@@ -201,7 +201,7 @@ class F405(Machine):
         )  # fmt: skip
 
     def until_zero(self, least_us=0):
-        """Wait until all electrodes are shorted after pulses and some silence; return the model."""
+        """Wait for zero after pulses, at least ``least_us`` after a packet; return the model."""
         for _ in range(600):
             model = self.registers()
             pulses, silent_us = model.zeros[-1] if model.zeros else (0, 0)
@@ -211,7 +211,7 @@ class F405(Machine):
         return model
 
     def registers(self):
-        """Return the model, after all writes so far."""
+        """Return the model after all register writes so far."""
         model = ShiftRegisters()
         with self._trace.open() as file:
             for line in file:
@@ -221,7 +221,7 @@ class F405(Machine):
 
 
 KITS = {"st_kajimoto61": (61, 2.442), "st_etactilekit64": (64, 9.99)}
-"""Electrodes, and µA of a count of the converter."""
+"""Number of electrodes of each kit, and µA per count of its converter."""
 
 
 @pytest.fixture
@@ -238,23 +238,23 @@ def start(tmp_path):
 
 
 class Host(Talk):
-    """A host that waits for its answers however long QEMU is kept from working."""
+    """Host that waits for answers, however slow QEMU is."""
 
     def until(self, wanted, kind, about=0, payload=b""):
-        """Send a packet, again and again, until there is an answer of a kind; return it."""
+        """Repeat a packet until the board answers with the kind ``wanted``; return the answer."""
         for _ in range(20):
             answers = self.say(kind, about, payload)
             for _ in range(20):
                 for each in answers:
                     if each.kind == wanted:
                         return each
-                    # What came late is sent again.
+                    # The board refuses packets that QEMU has delayed; the loop sends them again.
                     assert each.kind != MessageKind.NAK or each.payload[0] == Refusal.OLD, each
                 answers = self.say(MessageKind.HEARTBEAT)
-        raise AssertionError(f"no {wanted!r}")
+        raise AssertionError(f"the board sends no {wanted!r}")
 
     def account(self):
-        """Return slots, refused sequences, and sequences that execute or wait."""
+        """Return the numbers of slots, refused sequences, and sequences that execute or wait."""
         payload = self.until(MessageKind.REPORT, MessageKind.STATUS).payload
         return struct.unpack_from("<I", payload, 4)[0], payload[16], payload[32]
 
@@ -269,7 +269,7 @@ def test_what_is_sent_is_what_registers_and_converter_get(start, kit):
         talk = Host(board).begin()
         talk.until(MessageKind.LIMITED, MessageKind.LIMITS, payload=encode_limits(limits))
         for step in range(6):
-            # Intensity rises while current is scheduled: the first has none.
+            # The ramp begins at zero, so the first sequence has no current.
             slots, share = (10, 2 * step) if step else (0, 0)
             each, sign = rng.integers(0, electrodes, slots), rng.choice([1, -1], (slots, 1))
             rows = np.where(np.arange(electrodes) == each[:, None], sign, -sign)
@@ -286,7 +286,7 @@ def test_what_is_sent_is_what_registers_and_converter_get(start, kit):
     model = machine.registers()
     assert (model.wrong, refused, made) == ([], 0, len(wanted))
     bits = np.array([pulse[0] for pulse in model.pulses], np.int8)[:, ::-1]
-    # A bit is −1, anode, and none 1, cathode.
+    # A set bit is an anode (−1), a cleared bit a cathode (1).
     np.testing.assert_array_equal(1 - 2 * bits[:, :electrodes], [row for row, _ in wanted])
     # Outputs without an electrode stay at ground.
     assert {bit for pulse in model.pulses for bit in pulse[0][: 64 - electrodes]} <= {0}
@@ -294,13 +294,13 @@ def test_what_is_sent_is_what_registers_and_converter_get(start, kit):
     driven = np.array([counts for _, counts, _ in model.pulses]) * ua_per_count
     assert ((asked - ua_per_count < driven) & (driven <= asked)).all()
     assert {width for *_, width in model.pulses} == {100}
-    # One edge of LE and two of BL for each pulse; POL rises once.
+    # LE and BL have two edges for each pulse; LE and POL have one more at the beginning.
     assert model.edges["clock"] == 2 * 64 * made
     assert (model.edges[LE], model.edges["BL"], model.edges[POL]) == (2 * made + 1, 2 * made, 1)
 
 
 def test_a_stop_ends_in_zero(start):
-    """Within a millisecond, by the board's clock."""
+    """All electrodes are shorted within 1 ms after the last packet (board's clock)."""
     machine, slots = start("st_kajimoto61"), 20
     limits = SafetyLimits(61, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
     row = np.full((slots, 61), -5)
@@ -325,7 +325,7 @@ def test_a_stop_ends_in_zero(start):
 
 
 def test_a_killed_run_ends_in_zero(start, tmp_path):
-    """Within the time of silence after its last packet, by the board's clock."""
+    """All electrodes are shorted at the host timeout after the last packet (board's clock)."""
     machine = start("st_kajimoto61")
     command = [PROGRAM, "live", "--board", f"link:{machine.name}", "--profile",
                "kajimoto-61", "--force", "fixed:0.9", "--intensity", "0.3"]  # fmt: skip
@@ -343,7 +343,7 @@ def test_a_killed_run_ends_in_zero(start, tmp_path):
 
 
 def test_the_library_links_from_cpp():
-    """The example is C++: it must ask for the core's names as C has them."""
+    """The example is in C++, but must refer to functions of the core by their names in C."""
     object_file = built("arduino", "KitBoard.o", "c++")
     names = subprocess.run(["nm", object_file], capture_output=True, text=True, check=True).stdout
     assert {f"st_{name}" for name in ("init", "feed", "advance", "zero", "may_pulse")} <= {

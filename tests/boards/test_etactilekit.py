@@ -72,7 +72,7 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, named, phase_us, d
     assert (kit.host.acknowledged, kit.host.refused) == (runs, 0)
     assert kit.books.unsafe == 0
     took = (kit.clock.time_ns - start) / (20 * MS)
-    print(f"{firmware} {phase_us} {drift}: {took:.1f} periods for {runs} patterns")
+    print(f"{firmware}, {phase_us} µs, drift {drift}: {took:.1f} periods for {runs} patterns")
     # The driver needs a few more periods until it knows when the board scans.
     assert took < runs + 7
     kit.assert_located()

@@ -166,7 +166,7 @@ SAYS = "says it is alive"
 
 class Reads:
     """Line whose reads return the pieces, the last one again and again. A number stands for a read
-    that takes so many seconds and returns nothing."""
+    with this duration in s and without bytes."""
 
     name = "here"
     now_ns = write = None
