@@ -1,5 +1,5 @@
-"""Builds of the firmware, shared by all tests, and machines emulated by QEMU. A Cortex-M3 has the
-delivery log of the Python emulator."""
+"""Builds of the firmware, shared by all tests, and machines emulated by QEMU. For a Cortex-M3
+there is a delivery log, as for the Python emulator."""
 
 import contextlib
 import shutil
@@ -92,7 +92,7 @@ _REASONS = {word[:4]: word for word in ("start", "end", "silence", "stop", "begi
 
 
 def trace_of(electrodes):
-    """Return the type of a record: a pulse, or the shorting of all electrodes."""
+    """Return the NumPy type of a trace record: a pulse, or the shorting of all electrodes."""
     return np.dtype(
         [("number", "<u4"), ("start_us", "<u4"), ("slot", "<u2"), ("site", "<u2"),
          ("width_us", "<u2"), ("source_ua", "<u2"), ("current_ua", "<i2", electrodes)]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.append(str(Path(__file__).parents[2]))  # at the end: use an installed package
+sys.path.append(str(Path(__file__).parents[2]))  # last: an installed package has priority
 pytest_plugins = ["tests.fixtures"]
 
 

@@ -70,7 +70,7 @@ class Limits:
 
 @dataclass
 class Scan:
-    """Sequence of slots (width, discharge, currents), or (width, discharge, states) of a source."""
+    """Sequence; each slot has width, discharge and currents, or, for one source, states."""
 
     period_us: int
     slots: list
@@ -361,7 +361,7 @@ class Judge:
         return _above(Rule.SESSION_CHARGE, charge, self.limits.session_uc)
 
     def _window(self, at_us, now_us):
-        """Return felt pulses, charge and net charge, (P, E), of the passes that count at a time."""
+        """Return felt pulses, charge and net charge, (P, E), of all passes in a window of time."""
         kept = [
             each
             for each in self.passes

@@ -219,7 +219,7 @@ def often(life):
 
 
 def net(life):
-    """Send net charge of one sign for over a second, then of the other: a rule limits both."""
+    """Send net charge of one sign for over a second, then of the other sign."""
     life.begin(Limits(felt_ua=(5000,) * ELECTRODES))
     for sign in (-1, 1, -1):
         one = Scan(20_000, [(200, 40, (sign * 1200, -sign * 1200, 0, 0))] * 5)
@@ -251,7 +251,7 @@ def felt(life):
 
 
 def charge(life):
-    """Send as much charge of either sign as a period allows (500 µA on average), too often."""
+    """Send as much charge of either sign as each period allows: more than a second allows."""
     life.begin(Limits(felt_ua=(5000,) * ELECTRODES))
     pair = [(200, 40, (2500, -2500, 0, 0)), (200, 40, (-2500, 2500, 0, 0))]
     for _ in range(40):
@@ -277,7 +277,7 @@ def session(life):
 
 
 def rise(life):
-    """State intensities with no, weak and enough current: only current raises the level."""
+    """Raise intensity with no, weak and strong current: the level rises only with current."""
     life.begin(Limits())
     silent, weak, enough = ({"of": part} for part in (None, 0.01, 1))
     for current, times, wait_us, claims in (
@@ -294,7 +294,7 @@ def rise(life):
         # A scan without slots at intensity 0 does not lower the level.
         life.send(Scan(20_000, [], 1, 0))
         life.wait(20_000)
-    # Strong pulses after weak pulses, at intensities that the weak ones have stated.
+    # Strong pulses, after weak ones whose stated intensity was up to full.
     for intensity in (1000, FULL // 2, FULL):
         life.begin(Limits())
         life.send(Scan(500_000, _counting(FULL, 0.05), 1, intensity))
@@ -307,7 +307,7 @@ def rise(life):
 
 
 def _counting(intensity, of):
-    """Return the weakest pulse that counts as an intensity, times ``of``; none if that is None."""
+    """Return the weakest pulse that counts as an intensity, scaled by ``of``; none for None."""
     if of is None:
         return []
     level = min(1250, int(of * -(-1250 * intensity // FULL)))
@@ -386,7 +386,7 @@ def parts(life):
                     life.send(part)
                     life.wait(wait_us)
         life.wait(20_000)
-    # The rule on scans a second counts a scan of three parts once.
+    # A scan of three parts counts once for the limit on scans per second.
     life.begin(Limits(period_us=20_000))
     for _ in range(80):
         for which in ({"more": True}, {"more": True, "goes_on": True}, {"goes_on": True}):

@@ -62,9 +62,9 @@ class Core:
         self._core.st_rig_free(self._rig)
 
     def wear(self, skin):
-        """Attach a skin: a function that returns source voltage (10 mV) and largest charge left.
+        """Attach a skin: a function that returns source voltage, 10 mV, and charge left, pC.
 
-        The charge is in pC. Arguments are width, rest, source current, start and currents of a pulse.
+        Its arguments are width, rest, source current, start and currents of a pulse.
         """
 
         def pulse(times, start_us, current_ua, found):

@@ -1,4 +1,4 @@
-"""The C core refuses the same scans as a `Judge`; tests detect a core that lacks one rule."""
+"""The C core refuses the same scans as the model in judge.py; a core that lacks a rule fails."""
 
 import ctypes
 import hashlib
@@ -60,7 +60,7 @@ def test_emulator_and_core_refuse_what_the_judge_refuses(make_life, output, ramp
 
 
 def lived(make_life, built, play, both=False):
-    """Play one of `LIVES` to a core from a library, and compare the emulator if ``both``."""
+    """Play one of `LIVES` to a core from a library; if ``both``, to the emulator as well."""
     output = "three-state" if play is one_source else "weighted"
     return play(
         make_life(built, output=output, ramp=play in (rise, limits, rising_parts), both=both)

@@ -201,7 +201,7 @@ class F405(Machine):
         )  # fmt: skip
 
     def until_zero(self, least_us=0):
-        """Wait for zero after pulses, at least ``least_us`` after a packet; return the model."""
+        """Wait for zero at least ``least_us`` after the last packet; return the model."""
         for _ in range(600):
             model = self.registers()
             pulses, silent_us = model.zeros[-1] if model.zeros else (0, 0)

@@ -37,10 +37,10 @@ FIRMWARES = [pytest.param(kind, marks=pytest.mark.long) for kind in ("link C", "
 
 @pytest.fixture(autouse=True)
 def claimed_time(request, monkeypatch):
-    """Let the gate use the times stated in sequences, and gate, emulators and oracle have no ramp.
+    """Let the gate use the times stated in sequences, and switch all ramps off.
 
-    These tests are about drivers. After a first sequence with zero intensity, they may send any
-    intensity. Tests of `DriverContract` keep the ramp of the gate; tests marked ``wall_clock`` keep
+    These tests are about drivers: after a first sequence with zero intensity, any intensity may
+    follow. Tests of `DriverContract` keep the ramp of the gate; tests marked ``wall_clock`` keep
     the machine's clock and all ramps.
     """
     if "wall_clock" not in request.keywords:
@@ -66,7 +66,7 @@ def make_limits():
 
 @pytest.fixture(scope="session")
 def make_sequence():
-    """Return a function that makes balanced sequences, in each slot one cathode against all."""
+    """Return a function that makes sequences; each slot has one cathode, all others are anodes."""
 
     def make(step=1, *, electrodes=8, slots=4, period_us=10_000, level_ua=700, **other):
         site = np.arange(slots, dtype=np.uint16) % electrodes
@@ -96,7 +96,7 @@ def start_emulator():
     with starter() as start:
 
         def start_one(*arguments, electrodes=8, output="weighted", protocol="link"):
-            # As `claimed_time` says, the board has no ramp.
+            # The board has no ramp either: see the fixture `claimed_time`.
             arguments = ("ramp_ms=0", *arguments) if protocol == "link" else arguments
             if not any(option.startswith("linger=") for option in arguments):
                 arguments = ("linger=2", *arguments)
@@ -237,8 +237,8 @@ class Hosted:
     def __init__(self, kind, start_emulator, start_firmware, start_cortex_m3, folder, monkeypatch):
         monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
-        # The second word of a kind is the firmware: a version for an eTactileKit; C on this machine
-        # or on a Cortex-M3 (M3) for a link board.
+        # A kind can end with the firmware: a version for an eTactileKit; for a link board, C (on
+        # this machine) or M3 (on a Cortex-M3).
         kind, _, firmware = kind.partition(" ")
         if firmware == "C":
             _, port = start_firmware(f"--books={folder}", "--ramp-ms=0")
@@ -258,7 +258,7 @@ class Hosted:
         self.step = 0
 
     def send(self, times=1, level_ua=1000):
-        """Send a sequence with a new level; the first one, also after a loss, has zero intensity.
+        """Send a sequence with a new level, or with none after opening or a lost connection.
 
         A sequence that this computer sent too late is sent again.
         """
@@ -273,7 +273,7 @@ class Hosted:
                 self.board.send(sequence, times)
             except BoardRestartedError as error:
                 self.step = 0
-                # The watchdog sets its board to zero when this computer pauses the program.
+                # A watchdog sets its board to zero if this computer pauses the program.
                 if not isinstance(error, SequenceLateError) and "was paused" not in str(error):
                     raise
             else:

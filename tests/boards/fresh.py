@@ -1,5 +1,5 @@
-"""Functions that wait for an emulator on a busy machine, and forked processes, each with a
-simulated board, for tests that stop processes."""
+"""Helpers that wait for an emulator on a busy machine, and that fork processes with a fake board,
+for tests that stop a process."""
 
 import contextlib
 import os
@@ -47,7 +47,7 @@ def starter():
 
 
 def fresh_state(folder):
-    """Return the counters of an emulator, complete up to the time of this call."""
+    """Return the counters that an emulator writes, with all that it delivered before this call."""
 
     def written():
         return (folder / STATE_FILE).stat().st_mtime_ns
@@ -67,7 +67,7 @@ ANSWERED_S = 0.2
 
 @dataclass(eq=False)
 class Display:
-    """Substitute for a board, which records each call that sets it to zero."""
+    """Fake board, which records each call that sets it to zero."""
 
     budget_ua: int = 10_000
     announced: bool = True
@@ -96,7 +96,7 @@ class Display:
 
 @contextlib.contextmanager
 def in_child(work):
-    """Run `work` in a forked process; yield the process id once `work` has called its argument.
+    """Run ``work(say)`` in a forked process; yield the process id when `work` calls ``say``.
 
     The exit code is that of `work`. At the end of the block the process is killed.
     """
@@ -125,7 +125,7 @@ def in_child(work):
 
 
 def until_zero(board, seconds=PATIENCE_S):
-    """Return work that opens a board and waits for zero: exit code 7, or 98 without zero."""
+    """Return a function that opens a board and waits for zero: exit code 7, or 98 without zero."""
 
     def work(say):
         with board:

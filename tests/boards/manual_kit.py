@@ -19,7 +19,7 @@ US, MS = 1000, 1_000_000
 
 
 class ManualClock:
-    """Simulated clock: only waits advance it, by a little too much, as on a real computer."""
+    """Simulated clock, which only waits advance; each ends a little late, as on a real computer."""
 
     def __init__(self, seed=1, late_us=200):
         self.time_ns = 0
@@ -146,7 +146,7 @@ class ManualKit:
         """Write jobs (host time in ns, sequence, times), then zero; return the host's report."""
         for number, (time_ns, sequence, times) in enumerate(jobs, 1):
             self.clock.time_ns = max(self.clock.time_ns, time_ns)
-            # `write` returns when the driver can take another sequence: that one is due now.
+            # `write` returns once the driver accepts another sequence, so the next one is due now.
             self.driver.write(proved(sequence, times, number, self.clock.time_ns))
         self.driver.zero()
         return self.host.report()

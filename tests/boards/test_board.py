@@ -99,7 +99,7 @@ def test_a_board_that_two_threads_open_at_once_is_announced_and_opened_once(monk
 
 
 def test_a_board_that_is_interrupted_when_it_is_open_is_closed(monkeypatch):
-    """Otherwise the board could drive a finger without an entry in the run registry."""
+    """A board that stayed open could drive a finger without an entry in the run registry."""
     looks = []
 
     def interrupted(line):
@@ -246,7 +246,7 @@ def test_an_emulator_ends_with_its_board():
 def test_a_write_that_meets_a_stop_is_over_before_zero_or_followed_by_it(
     monkeypatch, make_sequence, long
 ):
-    """The write does not notice the stop. If ``long``, the stop gives up waiting for the write."""
+    """The write ignores the stop. If ``long``, the stop gives up waiting for the write."""
     if long:
         monkeypatch.setattr("smarttouch.boards.driver.WRITE_S", 0.05)
     writing, goes_on = threading.Event(), threading.Event()

@@ -95,7 +95,7 @@ class Contract(DriverContract):
     output_kind = "weighted"
     # The largest intensity that the ramp allows directly after zero.
     intensity, level_ua = 0.2, 480
-    # Each instant needs a process of its own.
+    # Lines of the driver at which a stop is tested, each in a process of its own.
     instants = 8 if WHOLE else 3
 
     @pytest.fixture
@@ -170,7 +170,7 @@ class OneAgainstAll(Contract):
 
     @pytest.fixture(autouse=True)
     def _keep_sent(self, monkeypatch):
-        """Record all written bytes: the delivery log of a kit does not show what it was sent."""
+        """Record all written bytes: the delivery log of a kit does not show the host's commands."""
         self.sent, write = [], Line.write
 
         def kept(line, data, proved=None):
@@ -216,7 +216,7 @@ class TestNewestETactileKitOverTcp(TestETactileKit):
 
 
 class TestMemory(Contract):
-    """``memory:`` has no firmware: the pulses are those of the sequences that the driver got."""
+    """``memory:`` has no firmware: its pulses are those of the sequences written to the driver."""
 
     @pytest.fixture
     def url(self):
@@ -259,7 +259,7 @@ class TestSimulated(TestMemory):
         board.send(self.sequence(1), times=20)
 
     def assert_silent(self):
-        # At most a repetition of 80 slots, or a measurement with all its probe scans.
+        # Allow the 80 slots of a repetition, or all probe scans of a measurement.
         in_pairs = self.output.kind == "weighted"
         probes = probe_sequences(self.driver._limits, self.output, in_pairs=in_pairs)
         books = self.driver._firmware.books
@@ -291,7 +291,7 @@ class TestSimulated(TestMemory):
 class TestFirmware(Contract):
     @pytest.fixture
     def url(self, start_firmware, tmp_path):
-        # As `claimed_time` says, the board has no ramp.
+        # The board has no ramp: see the fixture `claimed_time`.
         options = (f"--books={tmp_path}", "--ramp-ms=0")
         return "link:" + start_firmware(*options, output=self.output_kind)[1]
 
@@ -312,7 +312,7 @@ class TestCortexM3(TestFirmware):
 
 @pytest.mark.realtime
 def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_sequence):
-    """The board has its own ramp, so it refuses an intensity that the changed gate accepts."""
+    """The board has its own ramp: it refuses an intensity that the gate of this test accepts."""
     port = start_firmware(f"--books={tmp_path}")[1]
     with make_board(f"link:{port}", make_limits(), Output(kind="weighted")) as board:
         deliver(board, make_sequence(0))

@@ -100,7 +100,7 @@ def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("named", [True, False])
 def test_what_a_busy_host_cannot_determine_is_a_range(monkeypatch, firmware, seed, named, runs):
-    """Waits end milliseconds late and frames come at random, but the board scans each pattern."""
+    """Waits end milliseconds late, and frames come at random times; each pattern is scanned."""
     runs = runs or PATTERNS
     kit = ManualKit(
         monkeypatch, LIMITS, firmware, seed=seed, late_us=3000, phase_ns=7 * MS * seed,

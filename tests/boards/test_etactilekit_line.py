@@ -46,7 +46,7 @@ OLD = {
     "v1.0": (1, "FC08 FB19 FA64 F732 F632 FE 0101010101010101"),
     "936c6c0": (2, "FC08 FB6400 FA6400 F732 F63200 FE 0101010101010101"),
 }
-"""Older firmware: bytes per height, width or rate; commands that start all electrodes."""
+"""Older firmware: bytes of each height, width and rate, and commands that start all electrodes."""
 
 
 class OldKit:
@@ -345,7 +345,7 @@ def drives_after(request):
         now_ns = 0
         for part in parts:
             board.feed(part, now_ns)
-            # Time for a scan: the parser of one firmware waits until a scan is over.
+            # Let a scan end: the parser of one firmware waits until a scan is over.
             now_ns += 10**8
             board.advance(now_ns)
         before = books.slots

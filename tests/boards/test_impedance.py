@@ -1,5 +1,4 @@
-"""Current scales of kits within a band, impedances from voltages of one electrode against all or
-of pairs, and open or shorted electrodes."""
+"""Measured current scales of kits, impedances from voltages, and open or shorted electrodes."""
 
 import math
 from dataclasses import replace
@@ -171,7 +170,7 @@ def test_masked_electrodes_carry_nothing(masked, in_pairs):
 
 
 def measured(kohm):
-    """Measure electrodes with a current source each; the gate checks each scan."""
+    """Measure a board with a current source for each electrode; the gate checks each scan."""
     gate = SafetyGate(WIDE)
     can = Capabilities(24, "weighted", 5.0, 999, 0.0, "", measures=True, compliance_v=COMPLIANCE_V)
 

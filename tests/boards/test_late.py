@@ -36,7 +36,7 @@ def pulses(electrodes, step, level_ua=1000):
 
 
 def board_of(kind, electrodes, rest="x", **options):
-    """Return a board, by default on a finger, whose simulated clock only decides what is late."""
+    """Return a board, by default on a finger; its simulated clock decides only what is late."""
     driver = kind(rest, limits(electrodes))
     usual = {"clock": ManualClock(late_us=0), "claimed_time": True}
     return Board(driver, limits(electrodes), **(usual | options))
@@ -46,7 +46,7 @@ def board_of(kind, electrodes, rest="x", **options):
     ("on_a_finger", "late_ns", "sent"),
     [
         (True, 0, 2), (True, LATE_NS, 2), (True, LATE_NS + 1, 1),
-        # Without a finger nothing is dropped: a seed gives the same sequences on a slow computer.
+        # Without a finger, no sequence is dropped, so that runs with the same seed stay equal.
         (False, HOUR_NS, 2),
     ],
 )  # fmt: skip
@@ -173,7 +173,7 @@ def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):
 
 
 class Lost(MemoryDriver):
-    """Driver that finds its sequence late, and loses its line before the next call."""
+    """Driver that reports a sequence as late, and loses its line right afterwards."""
 
     opened = 0
 

@@ -148,7 +148,7 @@ def test_a_port_that_stays_away_is_reported(hosted, monkeypatch):
 @pytest.mark.parametrize("hosted", ["etactilekit"], indirect=True)
 @pytest.mark.parametrize("known", [False, True], ids=["asked", "known"])
 def test_a_board_that_is_back_gets_zero_first(hosted, known_by_usb, known):
-    """Without an identity from USB, one query comes before zero. The driver waits for no boot."""
+    """Zero comes at once, without waiting for a boot; a query precedes it if USB is no help."""
     known_by_usb(hosted.line.path, known)
     heard = []
     with hosted.board:
@@ -203,7 +203,7 @@ SECONDS = 2 if WHOLE else 1
 
 
 class RandomFaults:
-    """Random changes of 3 % of all pieces of bytes, and the number of each kind."""
+    """Random changes to 3 % of all pieces of bytes, counted by kind."""
 
     def __init__(self, seed, doubles, replays):
         self.random = random.Random(seed)
@@ -339,7 +339,7 @@ def kinds(heard):
 
 
 def replaced(hosted, stranger, *answer):
-    """Replace a board by a stranger while it is driven; return the bytes that the stranger got."""
+    """Replace a board by a `Stranger` in a run; return the bytes that the stranger received."""
     others = []
 
     def drive():

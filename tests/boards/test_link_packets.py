@@ -188,7 +188,7 @@ class Reads:
 
 
 SILENCE_S = 2.5 * LISTENED_S
-"""Silence after which a board is lost, longer than two delays of this computer can add."""
+"""Silence after which a board counts as lost, longer than two pauses of this computer count."""
 
 
 @pytest.mark.realtime

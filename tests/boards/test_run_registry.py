@@ -51,7 +51,7 @@ def smarttouch_stop(capsys):
 
 @pytest.fixture
 def bystander():
-    """Process of no run, which must survive the test."""
+    """Process that belongs to no run, and must still exist after the test."""
     with subprocess.Popen(["sleep", "60"]) as process:
         yield process
         assert process.poll() is None
@@ -107,7 +107,7 @@ def test_every_run_is_asked_and_says_whether_it_is_at_zero(folder, smarttouch_st
 
 
 def happen(what, folder, child):
-    """Change a run or its files as named; return whether the process of the run still exists."""
+    """Disturb a run or its files; return whether the process of the run still exists."""
     file = next(folder.glob("*.json"))
     if what in ("frozen", "request withheld"):
         # Suspend the run: otherwise it could take the file made below for a stop request.
@@ -204,7 +204,7 @@ def test_a_run_that_withdraws_while_it_is_asked_was_closed_at_zero(folder):
     def work(say):
         with Display() as board:
             say()
-            # This usually sees the request before the thread of the run does.
+            # Usually this process sees the stop request before its registry thread does.
             until(lambda: any(folder.glob("*.stop")) or board.zeros)
 
     with in_child(work):
@@ -213,7 +213,7 @@ def test_a_run_that_withdraws_while_it_is_asked_was_closed_at_zero(folder):
 
 @pytest.mark.parametrize("what", ["*.json", "*.lock", ""])
 def test_a_run_that_a_stop_would_not_find_any_more_ends_within_a_second(folder, what):
-    """A file of its entry is missing, or the whole folder."""
+    """One of the files of the run is missing, or the whole folder."""
     with in_child(until_zero(Display())) as child:
         if what:
             next(folder.glob(what)).unlink()

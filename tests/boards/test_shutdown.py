@@ -161,14 +161,14 @@ def start_event_loop():
 
 
 def sleeping(before=lambda: None, within=lambda: None, opening=lambda board: board.__enter__()):
-    """Return work that opens a board and sleeps until a signal; it fails without zero."""
+    """Return a function that opens a board, sleeps until a signal, and fails without zero."""
 
     def work(say):
         board = Display()
         before()
         opening(board)
         try:
-            # If another thread opened the first board, this one installs the signal handlers.
+            # If another thread opened the first board, this second one installs the handlers.
             with Display(1):
                 within()
                 say()

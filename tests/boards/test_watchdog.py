@@ -107,7 +107,7 @@ def test_a_host_that_is_stopped_counts_as_gone(board):
 
 @pytest.mark.parametrize("stale", [False, True])
 def test_a_host_that_stood_still_writes_nothing_any_more(board, port, monkeypatch, stale):
-    """A host is silent once its watchdog has ended, or may have ended (``stale``)."""
+    """A host writes nothing once its watchdog has ended, or may have ended (``stale``)."""
     port.arm()
     if stale:
         monkeypatch.setattr(etactilekit_line, "STALE_NS", 0)
@@ -123,7 +123,7 @@ def test_a_host_that_stood_still_writes_nothing_any_more(board, port, monkeypatc
 
 
 def test_zero_follows_what_was_written_after_the_watchdog_s_zero(board, port, monkeypatch):
-    """The program pauses after its check of the watchdog, and writes later."""
+    """The program pauses between its check of the watchdog and its write."""
     write = port._port.write
 
     def late(data):

@@ -39,7 +39,7 @@ class KeptBooks(DeliveryLog):
 
 
 def parse(piece):
-    """Return body, kind, number and session of a frame, by code of its own; None if garbled."""
+    """Return body, kind, number and session of a frame, without the package; None if garbled."""
     try:
         body = cobs.decode(piece)
     except cobs.DecodeError:
@@ -70,7 +70,7 @@ class Stream:
         return cobs.decode(frame[:-1]) in self.seen
 
     def judge(self, piece):
-        """Add bytes; return kind and whether it is old of the frame that they complete, or None."""
+        """Add bytes; if they complete a valid frame, return (kind, is it old), else None."""
         if not piece.endswith(b"\0"):
             self.waiting += piece
             return None
@@ -92,7 +92,7 @@ class Stream:
 
 
 class Middle:
-    """Attacker on one direction, who drops, repeats, delays, mixes and breaks frames."""
+    """Attacker on one direction of a line: drops, repeats, delays, mixes and breaks frames."""
 
     def __init__(self, chance):
         self.random, self.share = chance, 0.0
@@ -126,7 +126,7 @@ class Middle:
         self.due += [*out, (now_ns, held)]
 
     def old(self, frames):
-        """Return a random frame, after a zero that ends any incomplete frame."""
+        """Return a zero, which ends any incomplete frame, and a random one of ``frames``."""
         return b"\0" + self.random.choice(frames) if frames else b""
 
     def arrived(self, now_ns):

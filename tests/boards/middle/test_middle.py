@@ -102,7 +102,7 @@ def check(world, host, gone_ns, ending):
     order = [number for number, _, _ in books.kept]
     assert order == sorted(order), "an old sequence was delivered after a newer one"
     assert books.state == "shorted"
-    # The board takes a withheld frame until an ALIVE that the frame has not heard is LATE_MS old.
+    # The board refuses a withheld frame at the latest LATE_MS after the next ALIVE.
     late_ms = SILENCE_MS + 1 + (LATE_MS + ALIVE_MS if ending == "withheld" else 0)
     last_us = max((time_us for *_, time_us in books.kept), default=0)
     assert last_us <= gone_ns / 1000 + 1000 * late_ms
@@ -117,7 +117,7 @@ def test_a_man_in_the_middle(make_world, runs):
     for seed in range(runs):
         if seed % RUNS_PER_BOARD == 0:
             world = make_world(seed)
-        # Frames of sessions of this board and of another one.
+        # Frames of earlier sessions, of this board and of another one.
         world.to_board.foreign, world.to_host.foreign = (each[-400:] for each in foreign)
         ending = world.random.choice(["stop", "silent", "replayed", "withheld"])
         host, gone_ns = one_run(world, ending)
@@ -173,7 +173,7 @@ def test_the_emergency_switch_opened_at_random(make_world, runs):
         world.wait(20)
         assert len(world.books.kept) == 2
     print(f"\n{runs} runs: the switch opened {while_flowing} times while current flowed, and")
-    print(f"{reported} hosts ended with its error")
+    print(f"{reported} hosts ended with EmergencyStopError")
     assert while_flowing > runs // 10
     assert reported > runs // 10
 
