@@ -62,9 +62,9 @@ class Core:
         self._core.st_rig_free(self._rig)
 
     def wear(self, skin):
-        """Attach a skin: a function that returns source voltage, 10 mV, and charge left, pC.
+        """Attach a skin, a function of width, rest, source current, start and currents of a pulse.
 
-        Its arguments are width, rest, source current, start and currents of a pulse.
+        The function returns the source voltage, 10 mV, and the largest charge left, pC.
         """
 
         def pulse(times, start_us, current_ua, found):

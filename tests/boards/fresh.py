@@ -96,7 +96,7 @@ class Display:
 
 @contextlib.contextmanager
 def in_child(work):
-    """Run ``work(say)`` in a forked process; yield the process id when `work` calls ``say``.
+    """Run ``work(say)`` in a forked process; yield its process id once `work` has called ``say``.
 
     The exit code is that of `work`. At the end of the block the process is killed.
     """

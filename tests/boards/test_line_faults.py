@@ -148,7 +148,7 @@ def test_a_port_that_stays_away_is_reported(hosted, monkeypatch):
 @pytest.mark.parametrize("hosted", ["etactilekit"], indirect=True)
 @pytest.mark.parametrize("known", [False, True], ids=["asked", "known"])
 def test_a_board_that_is_back_gets_zero_first(hosted, known_by_usb, known):
-    """Zero comes at once, without waiting for a boot; a query precedes it if USB is no help."""
+    """Zero needs no wait for boot. A query precedes zero if USB does not identify the board."""
     known_by_usb(hosted.line.path, known)
     heard = []
     with hosted.board:

@@ -165,8 +165,8 @@ SAYS = "says it is alive"
 
 
 class Reads:
-    """Line whose reads return the pieces, the last one again and again. A number stands for a read
-    with this duration in s and without bytes."""
+    """Line whose reads return the pieces, the last one again and again. A number is the duration of
+    a read that returns no bytes, s."""
 
     name = "here"
     now_ns = write = None
@@ -188,7 +188,7 @@ class Reads:
 
 
 SILENCE_S = 2.5 * LISTENED_S
-"""Silence after which a board counts as lost, longer than two pauses of this computer count."""
+"""Longest silence of a board, above the 2 * LISTENED_S counted for two pauses of the computer."""
 
 
 @pytest.mark.realtime

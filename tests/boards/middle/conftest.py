@@ -70,7 +70,7 @@ class Stream:
         return cobs.decode(frame[:-1]) in self.seen
 
     def judge(self, piece):
-        """Add bytes; if they complete a valid frame, return (kind, is it old), else None."""
+        """Add bytes. If these complete a valid frame, return (kind, is it old), else None."""
         if not piece.endswith(b"\0"):
             self.waiting += piece
             return None
