@@ -28,20 +28,20 @@ VOLT = 100  # counts per volt in VOLTAGES
 SWITCH_OPEN = 1  # bit of the state: the emergency switch is open
 SILENCE_MS = 100
 ALIVE_MS = 20
-LATE_MS = 250  # a packet is old unless it confirms an ALIVE sent by the board within this time
+LATE_MS = 250  # largest allowed age of the newest ALIVE that a host's packet confirms
 LONGEST_PACKET_MS = 1000  # longest time for which an incomplete packet counts as a sign of life
-HALF = 2**32 - 1  # mask of the host's half of a session number; the upper half is the board's
+HALF = 2**32 - 1  # mask of the lower half of a session number, which the host draws
 Output = Literal["weighted", "three-state", "one-against-all"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 
 CAPABILITIES = struct.Struct("<HBBHHHHIIH")
-"""Electrodes, output kind, features, largest current µA, most slots, time to zero ms, compliance V,
-bytes for kernels, bytes of the largest packet, most kernels. The firmware's name follows."""
+"""Payload of CAPABILITIES: electrodes, output kind, features, largest current µA, most slots, time
+to zero ms, compliance V, kernel bytes, packet bytes, most kernels. The firmware's name follows."""
 ALIVE = struct.Struct("<h")
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
-"""Shortest period µs, total µA, longest pulse µs, full current µA, rounding µA, reserved, ramp ms,
-session s, session µC, duty %, reserved, width of a pulse at full current µs. Then for each
-electrode: u16 largest current µA, u16 perceptible current µA, u32 largest charge pC."""
+"""Payload of LIMITS: shortest period µs, total µA, longest pulse µs, full current µA, rounding µA,
+reserved, ramp ms, session s, session µC, duty %, reserved, width of a pulse at full current µs.
+For each electrode: u16 largest current µA, u16 perceptible current µA, u32 largest charge pC."""
 SEQUENCE = struct.Struct("<IHHBB")  # period µs, times, intensity, flags, number of pulse shapes
 GROUP = struct.Struct("<BBH")  # kind, pulse shape and number of slots
 POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups
@@ -49,19 +49,19 @@ MEASURE, RECHARGE, MORE, GOES_ON = 1, 2, 4, 8  # flags of a sequence
 FULL = 0xFFFF  # intensity 1; also the largest sum of a slot's amplitudes
 KERNELS = struct.Struct("<16sII")  # identity, size and offset
 KEPT = struct.Struct("<16sIB16s")
-"""Identity, number of stored bytes, whether they are complete and valid, and the session's
-proof."""
+"""Payload of KEPT: identity of the stored kernels, number of stored bytes, whether all kernels are
+stored and valid, and the proof for this session."""
 ACK = struct.Struct("<Q")  # start of the sequence by the board's clock, µs
 NAK = struct.Struct("<BBHHii")  # reason, rule, slot, electrode, value, allowed value
 REPORT = struct.Struct("<IIQIIIIBIIIII")
-"""Numbers of sequences, slots, pulses and violations; largest current µA, charge pC and residual
-charge pC; executing and waiting sequences; old and foreign packets; largest net charge within a
-second pC; seconds with current, and largest charge µC of the session."""
-NOTHING = 0xFFFF  # number for no slot or no electrode; as a slot, the recharge phase
+"""Payload of REPORT. Numbers: sequences, slots, pulses, violations. Largest values: current µA,
+charge pC, residual charge pC. Numbers: executing and waiting sequences, old packets, packets of
+other sessions. Largest net charge in a second pC. Session: seconds with current, charge µC."""
+NOTHING = 0xFFFF  # in a NAK: no electrode, or no slot, for example in the recharge phase
 
 
 def digest_of(data: bytes, session: int | None = None) -> bytes:
-    """Return the identity of encoded kernels; with ``session``, the proof that a board has them."""
+    """Return the identity of encoded kernels or, for a ``session``, the proof of their storage."""
     head = b"" if session is None else session.to_bytes(8, "little")
     return hashlib.sha256(head + data).digest()[:16]
 

@@ -32,17 +32,17 @@ from smarttouch.stimulation.scan_sequence import KernelTable
 
 HEARTBEAT_S = 0.03  # longest time without a packet of the host; the board's timeout is 0.1 s
 SILENCE_S = 0.5  # silence after which a board is lost: in a session, boards send every 20 ms
-LISTENED_S = 0.1  # largest silence counted per read: a longer one is a pause of this computer
+LISTENED_S = 0.1  # largest silence that one read adds: a read takes longer if this computer pauses
 ANSWER_S = 1.0
 ASKED_AGAIN_S = 0.25  # time after which a query is sent again
-PAUSED_S = 1.0  # time after a pause of this computer in which the pause explains refusals
+PAUSED_S = 1.0  # a refusal within this time after a pause of this computer is blamed on the pause
 LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
-AFTER_ZERO_S = 0.02  # a slot within this time after a stop is a fault; one period at 50 Hz
-MOST_COMPLIANCES = 2.1  # largest valid slot voltage / compliance: 2 with sources at both poles
-OPEN_SHARE = 0.97  # share of the compliance; if all slots reach it, nothing touches the electrodes
-_PIECE = 1024  # bytes of kernels per packet: a longer one would block the line for long
-_IDLE = 3  # packets without newly stored kernels, after which storing has failed
+AFTER_ZERO_S = 0.02  # time after a confirmed stop in which no slot may follow: a period at 50 Hz
+MOST_COMPLIANCES = 2.1  # largest valid ratio of slot voltage to compliance: two sources reach 2
+OPEN_SHARE = 0.97  # if all voltages reach this share of the compliance, the finger is lifted
+_PIECE = 1024  # bytes of kernels per packet; longer packets would block the line too long
+_IDLE = 3  # after this number of packets without progress, storing kernels has failed
 _COUNTED = "sequences", "slots", "pulses", "violations", "refused_packets"
 
 
@@ -71,7 +71,7 @@ class LinkSession:
         self.silence_s: float = SILENCE_S
         self.refused: int = 0  # packets of the board that were refused, in all sessions
         self.news: threading.Condition = threading.Condition()
-        self.paused_at_s: float = -PAUSED_S  # time of a write after a pause
+        self.paused_at_s: float = -PAUSED_S  # time of the last write that followed a pause
         self._receive, self._draw = receive, draw
         self._closed = threading.Event()
         self._reader: threading.Thread | None = None
@@ -179,7 +179,7 @@ class LinkSession:
         *,
         proved: ProvedSequence | None = None,
     ) -> None:
-        """Write the next packet of the session. ``proved`` is that of `Line.write`."""
+        """Write the next packet of the session. For ``proved`` see `Line.write`."""
         try:
             # Number packets under the lock, so that they are sent in order.
             with self.line.current():
@@ -248,12 +248,12 @@ class LinkSession:
         return taken
 
     def refuse(self) -> None:
-        """Count a refused packet, except before CAPABILITIES: it may be from an earlier run."""
+        """Count a refused packet, but not before CAPABILITIES: old runs may have left packets."""
         self.refused += self.number > HALF
 
     def _accept_offer(self, offer: Message) -> bool:
         if offer.version != VERSION:
-            # `begin` passes the packet to ``accept``, which reports the version.
+            # `begin` passes the packet to ``accept``, which raises an error with the version.
             return not self.begun
         was_asked = self._asked.pop(offer.about, None) == offer.kind
         if offer.session & HALF != self.number & HALF or not was_asked:
@@ -268,7 +268,7 @@ class LinkSession:
         gives the clock offset. ``board_us`` is the start by the board's clock, ``sent_ns`` the time
         of sending, ``now_ns`` the time of the answer."""
         if self._ahead_ns and 1000 * board_us + min(self._ahead_ns) < sent_ns:
-            # A start before sending means that the board's clock has paused.
+            # A start before the sending is impossible: the board's clock has paused.
             self._ahead_ns.clear()
         self._ahead_ns.append(now_ns - 1000 * board_us)
         return 1000 * board_us + min(self._ahead_ns)
@@ -398,14 +398,14 @@ class LinkDriver(Driver):
     def close(self) -> None:
         session = self._session
         if session.begun:
-            # End the session: a board in a session refuses the next HELLO. After a stop this write
-            # fails.
+            # End the session, because a board in a session refuses the next HELLO. If the board was
+            # stopped, it is not in a session, and this write fails.
             with contextlib.suppress(BoardError):
                 session.send(MessageKind.STOP)
         session.close()
 
     def idle(self) -> float | None:
-        """Repeat a sequence without an ACK unless it is late; send a heartbeat if one is due."""
+        """Resend an unacknowledged sequence that is not late. Send a heartbeat if one is due."""
         session = self._session
         if session.fault is not None:
             raise session.fault
@@ -420,8 +420,8 @@ class LinkDriver(Driver):
                 self._again_s = now_s + AGAIN_S
                 self._unsafe_refused += 1
                 payload, proved = flight.part.payload, flight.proved
-                # The number is the same, so that the board recognizes a repetition if only the ACK
-                # was lost. If the sequence is late, the next one reports the loss.
+                # Keep the number: if only the ACK was lost, the board recognizes the repetition. If
+                # the sequence is late, the next `write` reports the missing ACK.
                 with contextlib.suppress(SequenceLateError):
                     session.send(MessageKind.SEQUENCE, flight.number, payload, proved=proved)
         if session.begun and now_s - session.written_s > HEARTBEAT_S:
@@ -483,7 +483,7 @@ class LinkDriver(Driver):
         self._give_kernels()
 
     def _give_kernels(self) -> None:
-        """Store as many kernels as fit on the board; slots with others are sent as currents."""
+        """Store the kernels that fit on the board. Send slots with other kernels as currents."""
         can, self._image = self.can, None
         if self._table is None or can is None or not can.kernel_bytes or not can.packet_bytes:
             return
@@ -504,7 +504,7 @@ class LinkDriver(Driver):
                     )
                 self._image = image
                 return
-            # The first query contains no kernels; its answer shows where to begin.
+            # The first packet contains no kernels. Its answer shows what the board has stored.
             stored = stored if identity == image.identity and stored < len(image.data) else 0
             idle = 0 if stored > furthest else idle + 1
             furthest = max(furthest, stored)
@@ -516,7 +516,7 @@ class LinkDriver(Driver):
         )
 
     def _ask_report(self) -> BoardReport:
-        """Query the REPORT of the board; its refused packets are the old and the foreign ones."""
+        """Query the board's REPORT. Packets that are old or of another session count as refused."""
         answer = self._session.ask(MessageKind.STATUS)
         if len(answer.payload) != protocol.REPORT.size:
             raise self._malformed()
@@ -571,8 +571,8 @@ class LinkDriver(Driver):
                 session.refuse()
 
     def _note_volts(self, sent: SentPart, payload: bytes) -> None:
-        """Report the voltages of a scan when those of its last part arrive. An odd last byte is
-        ignored."""
+        """Collect voltages, and report them when the last part of a scan has arrived. Ignore the
+        last byte of an odd number of bytes."""
         sequence, part = sent.proved.sequence, sent.part
         counts = np.frombuffer(payload[: len(payload) // 2 * 2], "<u2")
         if len(counts) != part.slots or not len(counts):
@@ -585,7 +585,7 @@ class LinkDriver(Driver):
             highest_v = self.can.compliance_v or np.inf
             if volts.max() > MOST_COMPLIANCES * highest_v:
                 self._suspicion = (
-                    f"the board measured {volts.max():.0f} V with a source of {highest_v:g} V"
+                    f"the board measured {volts.max():.0f} V, but its compliance is {highest_v:g} V"
                 )
             lifted = bool((volts >= OPEN_SHARE * highest_v).all())
             self._line.measured(sequence, volts, lifted)
@@ -604,7 +604,7 @@ class LinkDriver(Driver):
             session.fail(self._emergency())
             return
         if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
-            # The refused packet is sent again; REPORT counts all refusals.
+            # Do nothing: a refused sequence or query is sent again; REPORT counts the refusal.
             return
         if self._flight is None or self._flight.number != message.about:
             session.refuse()
@@ -613,7 +613,7 @@ class LinkDriver(Driver):
         line.board.refused += 1
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             self._unsafe_refused += 1
-            # By the board's clock the intensity may rise too fast: restart at zero.
+            # By the board's clock, intensity may rise too fast: restart at zero intensity.
             lost = line.lost(f"refused sequence {message.about} as unsafe: {words}")
             session.fail(lost if rule == Rule.RISE else BoardError(str(lost)))
         elif why == Refusal.STOPPED and not line.is_stopped:

@@ -39,7 +39,7 @@ class KernelImage:
 
     @classmethod
     def of(cls, table: KernelTable, room: int, most: int) -> Self:
-        """Encode the first kernels of a table: all that fit ``room`` bytes, at most ``most``."""
+        """Encode the first kernels of a table, at most ``most`` kernels and ``room`` bytes."""
         data, count = kept_kernels(table.weights, table.site, room, most)
         return cls(table, count, data, protocol.digest_of(data))
 
@@ -109,9 +109,9 @@ class _Columns(NamedTuple):
 
     shapes: bytes  # table of pulse shapes
     keys: list[tuple[int, int]]  # kind and index into `shapes` of each slot
-    first: list[int]  # start of each slot's list in ``pairs``, and end of the last
-    pairs: bytes  # kernels and amplitudes
-    rows: bytes  # site and currents of each slot, or site, source and states
+    first: list[int]  # index of each slot's first pair in ``pairs``; last item: number of pairs
+    pairs: bytes  # pairs of kernel and amplitude
+    rows: bytes  # of each slot: site and currents; with one source: site, source current, states
 
 
 def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) -> _Columns:
@@ -152,7 +152,7 @@ def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) 
 
 
 def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> bytes:
-    """Return site, source current and states of each slot as bytes."""
+    """Return as bytes, for each slot: site, source current, and states of all electrodes."""
     # The gate allows only currents that fit 16 bits.
     source_ua = np.maximum(current_ua, 0).sum(axis=1)
     bits = np.stack([current_ua > 0, current_ua < 0], axis=-1).reshape(len(site), -1)
@@ -178,7 +178,7 @@ def _payload(
     data, size, at = [head, shapes, tail], len(rows) // max(1, len(keys)), start
     for slot in range(start + 1, end + 1):
         kind, shape = keys[at]
-        # Each sum of kernels needs its own group.
+        # Slots of the same kind and shape share a group. Each SUM needs its own group.
         if kind != SUM and slot < end and keys[slot] == keys[at]:
             continue
         count, body = slot - at, rows[at * size : slot * size]
