@@ -6,7 +6,7 @@ The board reads its pattern at the start of a scan, so a pattern must be loaded 
 driver loads a pattern, enables pulses for the requested number of scans, and stops pulses. A board
 does not report scans, but each scan changes its readings. Two queries with different readings
 bracket a scan, which determines the times of all other scans (`ScanLock`). Before the first bracket
-and on a slow line, pulses are enabled for over one period, and reports state a range of scans.
+and on a slow line, pulses are enabled for more than a period, and reports state a range of scans.
 """
 
 import math
@@ -37,13 +37,13 @@ NEWEST_ZERO_MS = 520.0  # the newest firmware stops 500 ms after the host's last
 IDLE_S = 0.1  # time without a sequence after which zeros are loaded
 VOLTS_PER_COUNT = 0.0893
 DUMMY_KOHM = 66.0  # load in parallel with the skin; the load carries V / 66 kΩ
-COMPLIANCE_V = 300.0  # limit of the switches (HV513), the largest reading
+COMPLIANCE_V = 300.0  # voltage limit of the switches (HV513), so no reading is larger
 LONGEST_LOAD = 0.97  # largest share of a period that a scan may take
 OPEN_SHARE = 0.95  # if all slots reach this share of the voltage without skin, the finger is lifted
 
-LOW, HIGH = 4, 12  # a reading below 4 (0.3 V) means no pulse, from 12 (1 V) on a pulse
+LOW, HIGH = 4, 12  # a reading below 4 (0.3 V) means no pulse; 12 (1 V) or more means a pulse
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
-WIDE_NS = 1_000_000  # largest uncertainty of a scan start; above it, a query is sent to locate it
+WIDE_NS = 1_000_000  # if the start of a scan is more uncertain than this, a query locates the scan
 KEEP_NS = 100_000_000  # longest pause between queries: the newest firmware stops after 500 ms
 TOLERANCE = 200e-6  # largest relative difference of two clocks, each within 100 ppm
 WIDEST = 0.25  # largest uncertainty of a known scan start, as a share of the period
@@ -61,7 +61,7 @@ class ScanLock:
     period_ns : int
         Period of the scans.
     last : Span or None
-        Bounds of the start of scan number 0, that of the last bracket; None if unknown.
+        Bounds of the start of scan number 0, the scan of the last bracket; None if unknown.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -97,7 +97,7 @@ class ScanLock:
         )
 
     def learn(self, bracket: Span) -> None:
-        """Narrow the bounds by a bracket in which a scan started; ignore a wide bracket."""
+        """Narrow the bounds by a bracket; ignore a bracket that is too wide to tell scans apart."""
         if self.last is None:
             if bracket.late - bracket.early <= WIDEST * self.period_ns:
                 self.last = bracket
@@ -129,7 +129,7 @@ class ShownPattern:
     proved: ProvedSequence
     since: Span
     before: Readings  # readings of the previous scan
-    is_seen: bool = False  # whether readings have shown its pulses
+    is_seen: bool = False  # whether readings have shown the pattern's pulses
 
     def pulsed(self, readings: Readings) -> NDArray[np.bool_]:
         """Return which outputs have certainly pulsed, from new readings, (N,) bool."""
@@ -206,7 +206,7 @@ class ETactileKitDriver(Driver):
             self._put_at_zero()
             self._away = False
         except BoardStoppedError:
-            # The stop has not reached a disconnected board: it is not at zero.
+            # The board is still disconnected, so the stop has not set it to zero.
             if self._away:
                 raise line.lost("is not back") from None
             raise
@@ -262,8 +262,8 @@ class ETactileKitDriver(Driver):
         if rest_us >= wire.FIRST_COMMAND or (sequence.slots and width_us < wire.SHORTEST_US):
             raise BoardError(
                 f"this board cannot make pulses of {width_us} µs with {rest_us} µs of discharge: "
-                f"set {wire.SHORTEST_US} µs at least, and {wire.FIRST_COMMAND - 1} µs of discharge "
-                "at most"
+                f"set pulses of at least {wire.SHORTEST_US} µs, and at most "
+                f"{wire.FIRST_COMMAND - 1} µs of discharge"
             )
         rate_hz = max(1, round(1e6 / sequence.period_us))
         settings = Settings(width_us, rest_us, rate_hz, bool((current_ua < 0).any()))
@@ -373,8 +373,8 @@ class ETactileKitDriver(Driver):
     # -- the scans of the board -----------------------------------------------
 
     def _ask(self, body: bytes, *, drives: ProvedSequence | None = None) -> Span | None:
-        """Send commands and return the time of execution. Update the bounds of scans if readings
-        show that a scan has passed since the last query."""
+        """Send commands and return the time span of execution. If a reading has changed since the
+        last query, a scan has passed: update the bounds of scans."""
         before, settings, self._before = self._before, self._settings, None
         if (answer := self._kit.exchange(body, ask=True, drives=drives)) is None:
             return None
@@ -388,22 +388,22 @@ class ETactileKitDriver(Driver):
         asked_ns, then = before
         rises, falls = (then < LOW) & (now >= HIGH), (then >= HIGH) & (now < LOW)
         if (rises | falls).any():
-            # shortest possible slot: with a short discharge, or even without a pulse
+            # smallest duration of a slot: its discharge may be short and its pulse missing
             rest_us = max(0, settings.discharge_us - wire.SHORTEST_US)
             if self._firmware == "71adee2":
-                # A query during a scan is answered after it, so the complete scan has passed.
+                # This firmware answers no query during a scan, so the complete scan has passed.
                 slots, early_ns = self._outputs, asked_ns
                 rest_us += settings.width_us if rises.any() else wire.SHORTEST_US
             else:
-                # The slot whose reading changed passed between the two queries. Its scan began
-                # ``slots`` slots earlier.
+                # The slot whose reading changed was between the two queries. The scan began
+                # ``slots`` slots before this slot.
                 slots = int((rises | falls).argmax())
                 early_ns = asked_ns - 1000 * slots * settings.scan_us(1, 25)
             self._lock.learn(Span(early_ns, span.late - 1000 * slots * rest_us))
         return span
 
     def _between_scans(self, now_ns: int) -> int:
-        """Return a time at which a query is answered before the next scan can start, ns."""
+        """Return the next time at which a query can be sent and answered between scans, ns."""
         lock = self._lock
         lock.check(now_ns)
         if lock.last is None:
@@ -467,8 +467,8 @@ class ETactileKitDriver(Driver):
                 self._report_scans(shown, stopped or Span(begun_ns, self._stopped_ns))
 
     def _report_scans(self, shown: ShownPattern, end: Span) -> None:
-        """Report the scans of a pattern and its voltages; latch the board if other outputs
-        pulsed."""
+        """Report the scans and the voltages of a pattern. Latch the board if an output outside the
+        pattern has pulsed."""
         sequence, line = shown.proved.sequence, self._kit.line
         least, largest = self._lock.starts(shown.since, end)
         pulsed = np.zeros(self._outputs, bool)
@@ -480,12 +480,12 @@ class ETactileKitDriver(Driver):
             if pulsed.any():
                 least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
             elif level_ua >= self._seen_ua and (readings < LOW).all():
-                # Weaker pulses were seen before, so no scan took place: the timing has changed.
+                # Weaker pulses gave readings before, so no scan took place: forget the scan times.
                 self._lock.last, least = None, 0
             if least:
                 volts, lifted = (readings * VOLTS_PER_COUNT).astype(np.float32), None
                 if volts.any():
-                    # Without a finger all current flows through the load in parallel with the skin.
+                    # Without a finger, all current flows through the board's own load.
                     alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
                     lifted = bool((volts >= OPEN_SHARE * alone_v).all())
                 line.measured(sequence, volts, lifted)

@@ -70,9 +70,9 @@ class Settings:
         return outputs * (self.width_us + self.discharge_us + slot_extra_us)
 
     def commands(self, between_hz: int) -> bytes:
-        """Return the commands for the settings, twice, each followed by zeros: if the first byte of
-        a 16-bit number is lost, the number becomes zero instead of a longer pulse. The period of
-        ``between_hz`` must fit scans with the old and with the new settings."""
+        """Return the commands for the settings, each twice. Zeros follow each command: if a byte of
+        a 16-bit number is lost, the pulse may get shorter, but not longer. ``between_hz`` is the
+        scan rate during the change: scans with old and with new settings must fit its period."""
         once = (
             QUIET + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
             + b"\xf6" + between_hz.to_bytes(2, "little") + _END
@@ -92,8 +92,8 @@ AT_REST = (
     b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
 )  # fmt: skip
 """Commands that set any published firmware to zero: no electrodes, no sense pulses, zero height (or
-mode 0 in newer firmware), shortest pulses, 10 scans per second. To all other known boards, these
-bytes are neither a query nor a pattern."""
+mode 0 in newer firmware), shortest pulses, 10 scans per second. Other known boards take these
+bytes neither as a query nor as a pattern."""
 QUIET = b"\xfb\x02\xfb\x02"  # stops pulses at the next scan
 LOAD = b"\xfb\x02\xfe"  # begins a pattern, with pulses stopped
 GO = b"\xfb\0"  # starts pulses at the next scan
@@ -122,7 +122,7 @@ CHIPS_S = 0.5  # longest wait for the answer to CHIPS
 MORE_S = 0.03  # wait for additional bytes: USB chips hold bytes for 16 ms
 FORGETS_S = 2.15  # pause after which the board drops a partial command
 MOST_LOSSES = 4  # consecutive lost commands after which the board cannot be driven safely
-LOOKS = 5  # answers without an echo after which the firmware counts as old
+LOOKS = 5  # attempts to get an echo; if all fail, the firmware counts as too old
 
 
 class ETactileKitLine:
@@ -174,8 +174,8 @@ class ETactileKitLine:
     def _answers(
         self, query: bytes, *attempts: tuple[bytes, float], then: tuple[bytes, ...] = ()
     ) -> Iterator[bytes]:
-        """Yield the first byte of each answer to a query. An attempt sends bytes and pauses, which
-        resynchronizes the parser, then sends the commands ``then`` and the query."""
+        """For each attempt, send its bytes and pause: this resynchronizes the parser. Then send
+        the commands ``then`` and the query, and yield the first byte of the answer."""
         for data, pause_s in attempts:
             self.line.write(data)
             self.line.pause(pause_s)
@@ -202,8 +202,8 @@ class ETactileKitLine:
                 f"the eTactileKit at {line.name} has {capacity} outputs, the profile needs "
                 f"{self.outputs}: use the profile of this board"
             )
-        # The number of electrodes is now zero, which PING echoes. Firmware without PING answers
-        # only CHIPS.
+        # PING echoes the number of electrodes, which AT_REST has set to zero. Firmware without PING
+        # answers only CHIPS.
         if b"\0" + answer not in (line.ask(PING + CHIPS, 2, CHIPS_S) for _ in range(LOOKS)):
             for command in AT_REST:
                 line.write(command)
@@ -219,7 +219,7 @@ class ETactileKitLine:
         return capacity
 
     def _recognize(self) -> None:
-        """Check by a query that the device is the lost board, if USB does not identify it."""
+        """Check by a query that a device without USB identity is the board that was lost."""
         # Do not send zeros before the query: another device might act on them.
         answers = self._answers(CHIPS, (b"", 0.0), (b"", FORGETS_S))
         if received := next(filter(None, answers), b""):
@@ -236,9 +236,9 @@ class ETactileKitLine:
     def exchange(
         self, body: bytes, *, ask: bool = False, drives: ProvedSequence | None = None
     ) -> tuple[Span, Readings] | None:
-        """Send commands and wait until they are executed. Return the time span and, with ``ask``,
-        the readings before them, (N,), in the board's order. After a wrong answer, resynchronize
-        the parser and return None. ``drives`` is the sequence whose pulses the commands start."""
+        """Send commands and wait for their execution. Return the time span and, with ``ask``, the
+        readings from before the commands, (N,), in the order of outputs. After a wrong answer,
+        resynchronize and return None. ``drives`` is the sequence that the commands start."""
         expected, begun_ns = 2 * self.outputs * ask + 1, self.line.now_ns()
         answer = self.line.ask(READINGS * ask + body + PING, expected, ECHO_S, drives)
         span = Span(begun_ns, self.line.now_ns())
@@ -249,7 +249,7 @@ class ETactileKitLine:
         return span, np.frombuffer(answer[:-1], "<u2")
 
     def _resync(self) -> None:
-        """Resynchronize the board's parser, with pulses stopped."""
+        """Resynchronize the board's parser, and stop pulses."""
         self._losses += 1
         if self._losses > MOST_LOSSES:
             raise BoardError(
@@ -257,15 +257,15 @@ class ETactileKitLine:
                 f"{self.line.name}, so it cannot be driven safely: use another cable and port, or "
                 "flash the newest firmware of the kit's repository, aid-lab-org/eTactileKit"
             )
-        # Zeros complete an incomplete pattern, and are not commands. If they fail, the board drops
-        # the pattern during a pause. Try zeros first, because the answer may only be late.
+        # First send zeros: they complete an incomplete pattern and are not commands. Then, if there
+        # is still no answer, pause: the board drops the incomplete pattern.
         query = QUIET + bytes(4) + PING
         if self._echo not in self._answers(query, (ZEROS, 0.01), (b"", FORGETS_S)):
             raise self.line.lost("does not answer any more")
 
 
 BEAT_S = 0.02
-ENDS_WITHIN_S = 1.5  # longest wait for the watchdog: zero for 253 outputs takes 0.4 s
+ENDS_WITHIN_S = 1.5  # longest wait for the end of the watchdog; zero for 253 outputs takes 0.4 s
 KEPT_MS = 100.0  # longest time from the end or hang of this program to the first byte of zero
 STALE_NS = int(0.8e9 * watchdog.SILENCE_S)
 """Time since the last heartbeat after which this program stops writing. The watchdog waits longer,
@@ -293,7 +293,7 @@ class WatchedPort:
         try:
             with control:
                 if not isinstance(port, (serial.Serial, protocol_socket.Serial)):
-                    raise ValueError("it needs a serial device or tcp://HOST:PORT")
+                    raise ValueError("the port must be a serial device or tcp://HOST:PORT")
                 ends = (int(port.fileno()), control.fileno())
                 self._process = subprocess.Popen(
                     [*COMMAND, *map(str, ends), zero.hex()], stdin=subprocess.DEVNULL,
@@ -330,12 +330,12 @@ class WatchedPort:
         """Write bytes.
 
         Raises SerialException if the watchdog has ended or may be writing zero. If this program was
-        paused just before the write, its bytes may follow the watchdog's zero; then zero is written
-        again at once.
+        paused just before the write, ``data`` may arrive after the zero of the watchdog. Then zero
+        is written again at once.
         """
         self._require_beat(b"")
         self._port.write(data)
-        # Write zero twice, because the first may only complete a cut command.
+        # Write zero twice, because the first may only complete an incomplete command.
         self._require_beat(2 * self._zero)
         return len(data)
 
@@ -372,7 +372,7 @@ class WatchedPort:
             self._port.close()
 
     def _end(self) -> None:
-        """Let the watchdog set the board to zero and end; write zero here if it failed."""
+        """Let the watchdog set the board to zero and end. If the watchdog failed, write zero."""
         self._control.close()
         try:
             self._process.wait(ENDS_WITHIN_S)

@@ -11,7 +11,7 @@ The board makes an anodic pulse of 50 µs for each nonzero intensity, in order, 
 zero.
 
 A lost or doubled byte shifts one scan by one electrode. Neither board nor driver detects this. The
-packet after the next is correct again, because no intensity equals the start byte.
+second packet after this scan is correct again, because no intensity equals the start byte.
 
 After power-on the board tests its source until the first packet, which contains zeros. Zeros do not
 load the converter. The last value of the test, at most 1,024 counts or 2.5 mA, therefore flows for
@@ -37,8 +37,8 @@ ZERO = bytes([STIMULATE]) + bytes(ELECTRODES)
 WIDTH_US, REST_US = 50, 150
 LARGEST = 200
 COUNTS_PER_BYTE = 16
-HURRY = 20  # after a late packet, the next may follow 1/20 of a period early
-LEAD_S = 0.003  # delay of the first packet of a run, a margin for later ones
+HURRY = 20  # after a late packet, the next packet may follow 1/20 of a period early
+LEAD_S = 0.003  # delay of a run's first packet, so that later sequences may arrive this much late
 
 
 class Kajimoto61Driver(Driver):
@@ -75,7 +75,7 @@ class Kajimoto61Driver(Driver):
         line.pause(kits.BOOT_S)
         line.discard_input()
         self.zero()
-        # This board does not answer the packet of zeros; an eTactileKit takes FF as a query.
+        # Detect an eTactileKit: it answers the start byte FF, a kajimoto61 board does not.
         if answer := line.read(64, 0.05):
             raise BoardError(
                 f"the board at {self.port} answers {len(answer)} bytes to a packet that a "
@@ -93,7 +93,7 @@ class Kajimoto61Driver(Driver):
         )
 
     def zero(self) -> None:
-        # Zeros complete a cut packet; the complete packet then ends the self-test.
+        # Zeros complete an incomplete packet. The packet of zeros then ends the self-test.
         self._line.write(bytes(ELECTRODES))
         self._line.pause(0.02)
         self._line.write(ZERO)
@@ -160,8 +160,8 @@ class Kajimoto61Driver(Driver):
                     f"this computer was too slow: {self._skipped} sequences were skipped"
                 )
                 self._skipped, self._note_ns = 0, sent_ns + 60_000_000_000
-            # After a late packet delay the later ones, too: catching up would exceed the proved
-            # rate. The 1/20 of a period that may be caught up is within the board's margin.
+            # After a late packet, delay all later packets, because catching up would exceed the
+            # proved rate. A packet may be early by 1/20 of a period: the board has this margin.
             next_ns = max(next_ns + period_ns, sent_ns + period_ns - period_ns // HURRY)
             self._period_ns = period_ns
         self._next_ns = next_ns

@@ -20,13 +20,13 @@ import signal
 import sys
 import time
 
-SILENCE_S = 0.09  # host timeout: 0.1 s to zero, including the time to wake up and write
+SILENCE_S = 0.09  # host timeout; leaves time to wake up and write zero within 0.1 s
 PRIORITY = 2  # real-time priority, above the program's 1, so that a hanging program cannot block it
-STUCK_S = 0.4  # time without an accepted byte after which the board is stuck
-PIECE, PAUSE_S = 8, 0.003  # zero is sent again in small pieces, which a busy USB chip does not lose
+STUCK_S = 0.4  # after this time without an accepted byte, the port counts as blocked
+PIECE, PAUSE_S = 8, 0.003  # bytes of each piece of the second zero command, and pause after a piece
 GONE, SILENT, BLOCKED = 7, 3, 5
-"""Exit codes: zero written after the program closed, zero written after silence, and port blocked.
-No code is 0: a program that ignores SIGCHLD sees exit code 0 for killed processes, too."""
+"""Exit codes. GONE: the program has ended. SILENT: the heartbeats have stopped. BLOCKED: zero could
+not be written. A program that ignores SIGCHLD sees 0 for any process, so 0 is not used."""
 
 
 def watch(port: int, control: int, zero: bytes) -> int:
