@@ -39,10 +39,10 @@ from smarttouch.stimulation.sequence_limits import Dose
 
 __all__ = ["Board", "BoardReport", "Capabilities"]
 
-FARTHEST_NS = 10_000_000_000  # starts planned further ahead are rejected as times of another clock
+FARTHEST_NS = 10_000_000_000  # longest time until a planned start; rejects times of another clock
 PROBES = 10  # attempts at each measuring scan, because a busy computer can lose readings
 ENDS_WITHIN_S = 3.0  # longest wait for the end of the sender thread
-QUEUED_S = 0.5  # `send` waits this long, plus four periods, before it replaces a queued sequence
+QUEUED_S = 0.5  # `send` waits for an empty queue at most this time plus four periods
 RESTARTS = 3  # attempts to reconnect a lost board
 _MOST_VOLTS = 64
 
@@ -84,8 +84,8 @@ class Board:
     ramp : Ramp
         Ramp of written sequences, which limits the strength of the next one.
     acknowledged, refused, replaced, dropped_late : int
-        Numbers of sequences whose delivery has begun, that the board refused, that a newer
-        sequence replaced before they were sent, and that were dropped because they were late.
+        Numbers of sequences: begun by the board; refused by the board; replaced by a newer
+        sequence before they were sent; dropped because they were late.
     force_n : float or None
         Finger force, if the board measures it.
     lifted : bool
@@ -131,7 +131,7 @@ class Board:
         self._output = output
         self._limits = limits.on(output)
         self.clock: Clock = clock or MonotonicClock()
-        # A board that uses the times stated in sequences never drops late ones.
+        # If the gate uses the times stated in sequences, no sequence is late.
         self._late_ns = late_ns if self.announced else 2**62
         self._gate = SafetyGate(self._limits, None if claimed_time else self.clock)
         self.ramp: Ramp = self._gate.ramp
@@ -151,8 +151,8 @@ class Board:
         self._news = threading.Condition()
         self._waiting: ProvedSequence | None = None
         self._busy = False
-        self._failure: BoardError | None = None  # of the sender thread; the next call raises it
-        self._over_s = 0.0  # end of the last written scans, by time.monotonic
+        self._failure: BoardError | None = None  # of the sender thread; the next `send` raises it
+        self._over_s = 0.0  # time at which the written scans end, by time.monotonic
         self._sender: threading.Thread | None = None
         self._ending = threading.Event()
 
@@ -165,8 +165,8 @@ class Board:
     def open(self) -> None:
         """Connect to the device and set all electrodes to zero.
 
-        From the start of this call, ``smarttouch stop`` stops a board that a finger may be on.
-        Opening waits up to a second if earlier sequences used up the net charge limit of a second.
+        If a finger may be on the board, ``smarttouch stop`` can stop the board during this call.
+        Opening waits up to 1 s if recent sequences have used half of the net charge limit.
 
         Raises
         ------
@@ -187,11 +187,11 @@ class Board:
             )
         enter(self)
         try:
-            # A new run starts at zero intensity, and the times in its sequences may restart at 0.
+            # Reset the ramp, and accept a sequence with an earlier time than the last sequence.
             self._gate.begin_session()
             self._zeroed = False
             self._stopped.clear()
-            # Clear before checking: a halt by another thread is seen here or sets the event later.
+            # Check `_halted` after clearing the event, so that no concurrent `halt` is missed.
             if self._halted:
                 self._stopped.set()
             self._line.pause(self._gate.net_rest_ns() / 1e9)
@@ -256,10 +256,10 @@ class Board:
             except OtherDeviceError as other:
                 raise BoardError(f"{lost}; {other}") from None
             except BoardError as again:
-                # Try again only if the connection was lost again or the device may be starting.
+                # Try again only if the connection failed or the device is silent (still starting?).
                 if not left or not isinstance(again, LineLostError | SilentBoardError):
                     raise lost from None
-        # Nothing was delivered for a while, so the next sequence must begin at zero.
+        # After an interruption the ramp starts at zero intensity again.
         self._gate.restart()
 
     def close(self) -> None:
@@ -299,7 +299,7 @@ class Board:
                     try:
                         self._line._put_at_zero()
                     except (BoardClosedError, LineLostError):
-                        # Raise on the first loss, or if the board stays on without a host.
+                        # Ignore a loss that was known before, if the board stops without a host.
                         if not self._is_lost or self.capabilities.time_to_zero_ms is None:
                             raise
             self._zeroed = True
@@ -317,7 +317,7 @@ class Board:
 
     @property
     def device(self) -> str | None:
-        """Identity under which faults are recorded: USB serial number, or else port, if any."""
+        """Identity under which faults are recorded: USB serial number, else port, else None."""
         return None if self.driver.port is None else device_of(self.driver.port)
 
     @property
@@ -389,12 +389,12 @@ class Board:
         raise failure
 
     def _not_sent(self, error: BoardError) -> BoardError:
-        """Return the error to raise for an unsent sequence; restart the ramp or a lost board."""
-        # If the board was stopped, raise that error instead: the stop explains any failure.
+        """Return the error to raise for an unsent sequence. Reconnect the board if it was lost."""
+        # If the board was stopped, raise BoardStoppedError: the stop is the cause of the error.
         self._line.require_running()
         if isinstance(error, SequenceLateError):
             self.dropped_late += 1
-            # Nothing was delivered for a while, so the next sequence must begin at zero.
+            # After an interruption the ramp starts at zero intensity again.
             self._gate.restart()
         elif isinstance(error, LineLostError):
             self._recover(error)
@@ -450,7 +450,7 @@ class Board:
             raise failure
 
     def _queue(self, proved: ProvedSequence) -> None:
-        """Queue a sequence for the sender thread; replace a queued one that waits too long."""
+        """Queue a sequence. If the queue stays full too long, replace the sequence in the queue."""
         patience_s = QUEUED_S + 4e-6 * proved.sequence.period_us
         with self._news:
             self._news.wait_for(lambda: self._is_over or self._waiting is None, patience_s)
@@ -528,7 +528,7 @@ class Board:
             self._volts.clear()
             return measure_by_probes(self._probe, self._limits, self._output, self.capabilities)
         finally:
-            # The next run starts at zero, and the times in its sequences may restart at 0.
+            # Reset the ramp, and accept a sequence with an earlier time than the last sequence.
             self._gate.restart()
 
     def _probe(self, probe: ScanSequence) -> NDArray[np.float64]:
@@ -563,9 +563,9 @@ class Board:
         Returns
         -------
         (int, int) or None
-            Start by `clock`, ns, and by the board's clock, µs since it was switched on. The first
-            is late by the shortest delay of the line. None if the board does not report starts,
-            has not reported this start yet, or has reported many later ones.
+            Start by `clock`, ns, and by the board's clock, µs since the board was switched on. The
+            time by `clock` is too late by the shortest delay of the line. None if the board does
+            not report starts, has not reported this start yet, or has reported many later starts.
         """
         return self._starts.get(number)
 

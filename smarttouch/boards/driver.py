@@ -98,8 +98,8 @@ class Driver(ABC):
     def write(self, proved: ProvedSequence) -> None:
         """Send a sequence to the device, by `Line.write` or within `Line.current`.
 
-        If the host times the passes (`Capabilities.host_timed`), `write` returns after the last
-        pass, or earlier if `Line.has_newer`. The next `Board.send` then raises any error.
+        If the host times the passes (`Capabilities.host_timed`), return after the last pass, or
+        earlier if `Line.has_newer`. The next `Board.send` then raises any error of this call.
         """
 
     @abstractmethod
@@ -252,7 +252,7 @@ class Line:
         """Hold the lock of `Board.stop` in a block that writes to a device without a port. At the
         end of the block the sequence counts as written. Arguments and errors as for `write`."""
         board, begun, zeroing = self.board, False, threading.get_ident() in self._zeroing
-        # If a stop must reach the board, no signal may interrupt the write.
+        # If a finger may be on the board, delay exceptions of signal handlers until the write ends.
         with uninterrupted() if board.announced else contextlib.nullcontext():
             if not self._lock.acquire(timeout=BLOCKED_S if zeroing else -1):
                 raise self.lost("is blocked: check the cable")
@@ -287,13 +287,13 @@ class Line:
                     self._put_at_zero()
 
     def later(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
-        """Return a copy of a proved sequence with a later start by `now_ns`: a repetition timed by
-        the host, or a sequence that waited for an earlier one.
+        """Return a copy of a proved sequence with the later start ``due_ns``: for a repetition that
+        the host times, or after a wait for an earlier sequence.
 
         Raises
         ------
         SequenceLateError
-            If the start is later than all repetitions and the longest wait can explain.
+            If ``due_ns`` is after the latest possible start of the last repetition.
         """
         try:
             return self.board._gate.repeated(proved, due_ns)
@@ -314,8 +314,8 @@ class Line:
     def ask(
         self, data: bytes, count: int, within_s: float, proved: ProvedSequence | None = None
     ) -> bytes:
-        """Write a query and return the answer, at most ``count`` bytes. Queries of other threads
-        wait until then. ``proved`` is that of `write`."""
+        """Write a query and return the answer, at most ``count`` bytes. Until the answer arrives,
+        queries of other threads wait. For ``proved`` see `write`."""
         with self._dialogue:
             self.discard_input()
             self.write(data, proved)
@@ -396,13 +396,13 @@ class Line:
             )
 
     def has_newer(self) -> bool:
-        """Return whether a newer sequence is waiting, which ends the current repetitions."""
+        """Return whether a newer sequence is waiting; if so, skip the remaining passes."""
         return self.board._waiting is not None
 
     def lost(self, what: str) -> LineLostError:
         """Return the error for a lost connection, as in ``lost("does not answer")``."""
         can, then = getattr(self.board, "capabilities", None), ""
-        # Only a port with a watchdog can tell that the board was set to zero.
+        # Say what the board does now, unless its watchdog has set the board to zero.
         if can is not None and not getattr(self._port, "at_zero", False):
             then = "; it repeats its last pattern: lift the finger, then switch the board off"
             if can.time_to_zero_ms is not None:
@@ -428,8 +428,8 @@ class Line:
             del starts[next(iter(starts))]
 
     def delivered(self, proved: ProvedSequence, scans: int, most: int | None = None) -> None:
-        """Report ``scans`` more passes of a sequence timed by the host. With ``most``, the number
-        of passes is uncertain: ``scans`` to ``most``."""
+        """Add ``scans`` passes of a sequence to the host's report. If ``most`` is given, the number
+        of passes is uncertain: at least ``scans`` and at most ``most``."""
         board = self.board
         with board._news:
             again = proved.number == board._counted

@@ -30,15 +30,15 @@ _WITHOUT_FINGER: dict[str, dict[str, Any]] = {
     "memory": {"on_a_finger": False, "claimed_time": True},
     "simulated": {"on_a_finger": False, "claimed_time": True, "simulated_time": True},
 }
-"""Boards that no finger can touch, with options of `Board`. All other boards, including those of
-other packages, may have a finger on them, and use the machine's clock."""
+"""Arguments of `Board` for boards that no finger can touch. A finger may be on all other boards,
+including those of other packages; these boards use the machine's clock."""
 
 
 def make_board(
     url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
 ) -> Board:
-    """Return a board, still closed, for a URL. The URL may contain options of the driver, as in
-    ``emulator:?books=FOLDER``, and ``record=FILE``, a new file for the bytes of the line."""
+    """Return a closed board for a URL. The URL may contain options of the driver, as in
+    ``emulator:?books=FOLDER``, and ``record=FILE`` to record the bytes of the line."""
     opener, rest = BOARDS.find(url)
     rest, from_url = read_options(opener, rest, BoardError, ("output",), record=Path)
     path = from_url.pop("record", None)
@@ -46,7 +46,7 @@ def make_board(
     BOARDS.require_kind(driver, url)
     board = Board(driver, limits, output, **_WITHOUT_FINGER.get(url.partition(":")[0], {}))
     if path and (driver.port is None or path.exists() or not path.parent.is_dir()):
-        needs = "give a new file in an existing folder, and a board with a port"
+        needs = "the file must be new, its folder must exist, and the board must have a port"
         raise BoardError(f"cannot record {url} to {path}: {needs}")
     board._line.recording = path
     return board

@@ -60,7 +60,7 @@ class Capabilities:
         """Return the capabilities as names and values, for display."""
         silence = "repeats its last pattern forever: lift the finger before you unplug the board"
         if self.time_to_zero_ms is not None:
-            silence = f"no current {self.time_to_zero_ms:g} ms after the host's last byte"
+            silence = f"zero {self.time_to_zero_ms:g} ms after the host's last byte"
         if self.kept_ms is not None:
             kept = f"zero {self.kept_ms:g} ms after the program ends or hangs"
             silence = f"{kept}; without the watchdog {silence}"
@@ -114,8 +114,8 @@ class HostStatistics:
     def add(
         self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None
     ) -> None:
-        """Add a sequence that was scanned ``times`` times, or between ``times`` and ``most`` times.
-        If ``again``, only count its passes: the sequence was added before."""
+        """Add ``times`` passes of a sequence. If ``most`` is given, the number of passes is between
+        ``times`` and ``most``. If ``again``, the sequence is counted already: count only passes."""
         most, old = times if most is None else most, self.report
         pulses = int(np.count_nonzero(sequence.current_ua))
         peaks_ua = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1) * (most > 0)

@@ -27,7 +27,7 @@ from smarttouch.base.posix import O_NOFOLLOW, try_lock
 
 ANSWER_S = 3.0  # longest wait of `stop_all` for runs to confirm zero
 _LOOK_S = 0.05
-_LOOKS_PER_CHECK = 20  # a run checks once a second that its files exist
+_LOOKS_PER_CHECK = 20  # every 20th look (once a second), a run checks that its own files exist
 _LOCK_S = 2.0
 
 
@@ -104,12 +104,12 @@ class _Run:
         name, late = self.name, False
         while not late:
             late = time.monotonic() > until_s
-            # Check for the end before the answer: a run may answer just before it ends.
+            # Check for the end first: otherwise an answer between the two checks would be missed.
             ended = self.has_ended
             withdrawn = registry_folder().exists() and not (self.has("json") or self.is_locked)
             if self.has("unconfirmed"):
                 return Answer(f"{name} could not confirm zero: switch the board off")
-            # A run removes its entry after it has closed its boards, perhaps even before the stop.
+            # A run without an entry has closed its boards, perhaps before the stop.
             if withdrawn or (self.has("zero") and not self.has("stop")):
                 self.remove("stop")
                 return Answer(f"{name} has confirmed zero", at_zero=True)
@@ -120,8 +120,8 @@ class _Run:
             return Answer(f"{name} did not answer: switch the board off")
         if self.host not in ("", socket.gethostname()):
             return Answer(f"1 run is on host {self.host}: stop it there")
-        # The file is invalid, or from an earlier boot or a container. If the run still exists, it
-        # ends when its files are gone (`_watch`).
+        # The entry is invalid, from an earlier boot, or from a container. Remove its files: if the
+        # run still exists, `_watch` notices this and ends the run.
         self.remove("json", "lock", "stop")
         return Answer(f"{name} did not answer: if it still drives a board, switch the board off")
 
@@ -152,8 +152,8 @@ class RunEntry:
         return os.path.lexists(self._stop_file)
 
     def declare(self, current_ua: int, most_ua: int = 0) -> int:
-        """Record the total current of this process's boards, µA. Return the sum over all runs, or
-        this total if it does not grow. Record nothing if the sum exceeds ``most_ua``."""
+        """Record the current of this process and return the sum of all processes, µA. If the sum
+        exceeds ``most_ua``, record nothing. If the current does not grow, record and return it."""
         if current_ua <= self._run.current_ua:
             self._announce(current_ua)
             return current_ua
@@ -219,22 +219,22 @@ def stop_all() -> list[Answer]:
     """
     global _begun_ns
     problems, asked = [], []
-    # The mark below does not apply to this program, which may still set a board to zero.
+    # This program ignores the mark below, because it may open a board to set the board to zero.
     _begun_ns = now_ns()
-    # Write the mark before listing: a run not listed yet sees it before it opens a board.
+    # Write the mark before listing runs: a run that registers later sees the mark and ends.
     try:
         make_folder(registry_folder())
         replace_file(registry_folder() / "stopped", f"{_place()[1]} {_begun_ns}".encode())
     except OSError as error:
         problems.append(
-            f"runs that are just starting cannot be kept from opening a board ({error}): stop again"
+            f"runs that are starting may still open a board ({error}): run smarttouch stop again"
         )
     for run in _listed():
         if run.has_ended:
             run.remove("json", "lock", "stop", "zero", "unconfirmed")
             continue
         try:
-            # A run that could not confirm zero may do so now; a confirmed zero is permanent.
+            # Forget that an earlier stop failed, but not that the run has confirmed zero.
             run.remove("unconfirmed")
             run.path("stop").touch(0o600)
             asked.append(run)
@@ -242,8 +242,8 @@ def stop_all() -> list[Answer]:
             problems.append(f"{run.name} cannot be asked to stop ({error}): switch the board off")
     deadline_s = time.monotonic() + ANSWER_S
     answers = [run.answer(deadline_s) for run in asked]
-    # Start times of processes have a resolution of 10 ms. Wait, so that programs started after this
-    # call are later than the mark.
+    # Start times of processes have a resolution of 10 ms. Wait, so that a program that starts after
+    # this call has a later time than the mark.
     time.sleep(0.02)
     return [*answers, *map(Answer, problems)]
 

@@ -51,12 +51,12 @@ class _Process:
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
-        # A board that its program no longer refers to may still deliver, so it stays here.
+        # Keep references: a board that the program has dropped may still deliver pulses.
         self.boards: dict[Board, int] = {}
-        self.runs: list[StopRequest] = []  # of runs, and of a command that opens a board
+        self.runs: list[StopRequest] = []  # one per run, and one per command that opens a board
         self.command: Command | None = None
         self.signals: _Signals | None = None
-        self.in_run = False  # whether the main thread is in a run that ends itself after a signal
+        self.in_run = False  # whether the main thread's run ends by itself after a signal
         self.reason = ""  # reason why this process may no longer open boards
         self.entry: RunEntry | None = None
 
@@ -79,7 +79,7 @@ class _Process:
         try:
             if self.entry is None and not self.reason:
                 self.entry = RunEntry(self._stop_requested)
-            # Register before this check: a stop writes its mark before it lists runs.
+            # Look for a stop only after registering: a stop writes its mark, then lists runs.
             if self.reason or self.entry is None or self.entry.is_asked or stopped_since_start():
                 raise BoardStoppedError(
                     f"this program was stopped by {self.reason or 'smarttouch stop'}, and can "
@@ -120,8 +120,8 @@ class _Process:
     def end(self, reason: str, *, for_good: bool = True) -> bool:
         """Set all boards to zero and ask all runs to end; return whether all boards have confirmed
         zero. With ``for_good``, no board can be opened afterwards."""
-        # Do not take the lock: a thread that waits for the disk may hold it. A board that is
-        # being registered sees the reason, or is in the list.
+        # Do not take the lock: a thread that waits for the disk may hold it. Without the lock, a
+        # board that another thread registers now is in `boards`, or its `announce` fails.
         if for_good:
             self.reason = self.reason or reason
         boards, entry = [*self.boards], self.entry
@@ -130,7 +130,7 @@ class _Process:
             request.ask(reason, at_once=False)
 
         def bring_to_zero(board: "Board") -> None:
-            # A board that raises has not confirmed zero, so it stays registered.
+            # If stopping raises an error, the board has not confirmed zero and stays registered.
             with suppress(Exception):
                 (board.halt if for_good else board.stop)()
                 leave(board)
@@ -138,7 +138,7 @@ class _Process:
         for board in boards:
             threading.Thread(target=bring_to_zero, args=(board,), daemon=True).start()
         deadline_s = time.monotonic() + ZERO_WITHIN_S
-        # A run may also confirm zero when it closes its board.
+        # Meanwhile a run may close its board itself, which confirms zero, too.
         while self.boards and time.monotonic() < deadline_s:
             time.sleep(0.002)
         # A board that has not confirmed zero stays in the run registry until it is closed.
@@ -158,9 +158,9 @@ class _Process:
 class _Signals:
     """Handler of signals that would end this process or raise KeyboardInterrupt.
 
-    It takes no locks. The system writes the number of each signal to a socket, even if the main
-    thread cannot run a handler. If an event loop uses this mechanism, the handler writes the
-    number. A thread reads the socket.
+    A thread reads the numbers of signals from a socket. The system writes the numbers, even while
+    the main thread is blocked. If an event loop has set another file descriptor for signals, the
+    handler writes the numbers to the socket. The handler takes no locks.
     """
 
     def __init__(self, command: Command | None) -> None:
@@ -200,8 +200,8 @@ class _Signals:
             interrupt(RunStopped(self.number, _process.reason or None))
 
     def _set_wakeup(self, descriptor: int) -> bool:
-        """Let the system write signals to a descriptor, unless an event loop has set its own.
-        Return whether the descriptor of this object was set before."""
+        """Let the system write signals to ``descriptor``, unless an event loop has set its own.
+        Return whether the system was using this object's descriptor before the call."""
         before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
         if before not in (-1, self._wakes.fileno()):
             signal.set_wakeup_fd(before)
@@ -211,7 +211,7 @@ class _Signals:
         first, self.number = not self.number, self.number or number
         if not self._set_wakeup(self._wakes.fileno()):
             self._wakes.send(bytes([number]))
-        # Without a command, a second Ctrl-C interrupts a run that hangs.
+        # Without a command, a run ends by itself after the first signal; the second interrupts it.
         orderly = self._command.orderly if self._command else _process.in_run and first
         if not orderly:
             self.end_main_thread()
@@ -244,7 +244,7 @@ def enter(board: "Board") -> None:
         return
     with _process.lock:
         if board in _process.boards:
-            # If this thread failed, it would unregister the board of the other thread.
+            # Do not register the board twice: `leave` would unregister it for both threads.
             raise BoardError("another thread is opening or closing the board: try again")
         _process.boards[board] = board.budget_ua
         try:
@@ -263,7 +263,7 @@ def leave(board: "Board", at_zero: bool = True) -> None:
 
 
 def expect(board: "Board") -> None:
-    """Register the running command, if it will open a board that a stop must reach."""
+    """Register the running command before it opens ``board``, if a stop must reach the board."""
     if _process.command is not None and board.announced:
         with _process.lock:
             _process.runs.append(_process.command.stop)
@@ -271,7 +271,7 @@ def expect(board: "Board") -> None:
 
 
 def current_command() -> Command:
-    """Return the running command of this process, or else a new command without effect."""
+    """Return the running command of this process. If there is none, return a new command."""
     return _process.command or Command(os._exit)
 
 
@@ -298,8 +298,8 @@ def running_command(give_up: Callable[[int], None]) -> Iterator[Command]:
 @contextmanager
 def stoppable_run(stop: StopRequest, board: "Board") -> Iterator[Callable[[], None]]:
     """Register a run during the block. In the main thread, a signal raises RunStopped or
-    KeyboardInterrupt within the block. After a call of the yielded function, a signal raises the
-    error at the end of the block instead."""
+    KeyboardInterrupt in the block at once. If the block has called the yielded function, the signal
+    raises this error only at the end of the block."""
     if not board.announced:
         yield lambda: None
         return
