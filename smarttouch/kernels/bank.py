@@ -50,9 +50,10 @@ class KernelBank:
 
     weights: Column  # (E, E) mA per V/mm²: row s is the kernel of site s, sum 0; zeros if masked
     off_target: Column  # (E,) largest activation of another class, relative to the target
-    worst_class: Column  # (E,) int8, class that has this activation
-    spill: Column  # (E,) largest activation of the class beyond a pitch, relative to the target
-    gap: Column  # (E,) largest relative distance from the optimum; 0 if proven optimal
+    worst_class: Column  # (E,) int8, the other class that is activated most
+    # (E,) largest activation of the class more than a pitch from the target, relative to the target
+    spill: Column
+    gap: Column  # (E,) upper bound of the relative distance from the optimum; 0 if proven optimal
     seconds: Column  # (E,) float32, design time
     receptor: Column  # (E, E) float32, V/mm² per mA: [r, e] is the AF at target r from electrode e
     # Classes whose kernels are one electrode against all others (`single_bank`)
@@ -94,9 +95,9 @@ class KernelBank:
         """Return the response of the receptor under each electrode, (E,), to delivered slots, by
         sequence number.
 
-        A response is 0 at the detection threshold and 1 at the strongest comfortable pulse. It is
-        the largest over all classes and over the slots of a sequence. ``numbers``, (N,), holds the
-        sequence number of each slot, in order; ``current_ua``, (N, E), is positive if cathodic.
+        A response is 0 at the detection threshold and 1 at the strongest comfortable pulse. The
+        response to a sequence is the largest one over its slots and over all classes. ``numbers``,
+        (N,), are the sequence numbers of slots; ``current_ua``, (N, E), is positive if cathodic.
         """
         from smarttouch.physiology.finger import strength
 
@@ -205,8 +206,8 @@ def find_bank(profile: Profile) -> KernelBank | None:
 
 
 def _find_similar_bank(profile: Profile) -> tuple[Profile, KernelBank] | None:
-    """Return a stored bank for the same array and skin, and the profile for which it was designed,
-    which can differ in masks, limits and comfort levels. Return None if there is none."""
+    """Return a stored bank for the same array and skin, and the profile of that bank. This profile
+    can differ in masks, limits and comfort levels. Return None if there is no such bank."""
     if profile.output.kind != "weighted":
         return None
     unmasked = profile.output.model_copy(update={"masked": ()})
@@ -262,7 +263,7 @@ def design_confined(
     profile: Profile, sites: Sequence[int], progress: Progress | None, keep: Path | None = None
 ) -> KernelBank:
     """Design kernels for some sites. Each drives only the `Kernels.neighbors` electrodes nearest to
-    its site. The bank has zeros for other sites, and for the AF from more distant electrodes."""
+    its site. In the bank, kernels of other sites and the AF from farther electrodes are zero."""
     from smarttouch.kernels.batch_design import design_tiles
     from smarttouch.kernels.switched_design import designer, possible_modes
 

@@ -60,9 +60,9 @@ def design_sites(
 ) -> list[Timed]:
     """Design a kernel for each site, and return it with its design time.
 
-    Of sites that mirror each other, only one is designed. `joblib.Parallel` uses threads, as the
-    solver releases the interpreter lock, or the backend of ``joblib.parallel_config``, for example
-    a Dask cluster. Finished kernels are stored in the folder `keep`; a later call reuses them.
+    Of sites that mirror each other, only one is designed. Sites are designed in threads, as the
+    solver releases the interpreter lock. ``joblib.parallel_config`` can choose another backend, for
+    example a Dask cluster. Finished kernels are stored in ``keep``; a later call reuses them.
     """
     from joblib import Parallel, delayed
     from threadpoolctl import threadpool_limits
@@ -82,7 +82,7 @@ def design_sites(
     answers = Parallel(n_jobs=-1, prefer="threads", return_as="generator_unordered")(
         delayed(_timed)(design, problem, first) for first in missing
     )
-    # Sites use all cores, so limit BLAS to one thread.
+    # Sites are designed in parallel on all cores, so limit BLAS to one thread.
     with threadpool_limits(limits=1, user_api="blas"):
         try:
             for first, kernel, seconds in answers:
@@ -116,7 +116,7 @@ def _timed(design: Design, problem: Problem, site: int) -> tuple[int, Kernel, fl
 def _moved(problem: Problem, site: int, kernel: Kernel, move: np.ndarray) -> Kernel:
     weights = np.empty_like(kernel.weights)
     weights[move] = kernel.weights
-    # Mirroring can reverse the nodes of an axon. The target has the largest AF of them (Eq. 11).
+    # Mirroring can reverse an axon's nodes. The target is the node with the largest AF (Eq. 11).
     node = kernel.node and int((problem.axon(site) @ weights).argmax())
     return replace(kernel, weights=weights, node=node)
 
@@ -294,8 +294,8 @@ def design_tiles(
     progress: Progress | None = None,
     keep: Path | None = None,
 ) -> Iterable[tuple[Afferent, int, NDArray[np.intp], Kernel, float, Array]]:
-    """Yield the kernel of each class and site: class, site, electrodes of the tile (N,), kernel,
-    design time in s, and the AF at the target from each electrode, (N,) V/mm² per mA."""
+    """Design the kernel of each class and site. Yield class, site, electrodes of the tile (N,),
+    kernel, design time in s, and the AF at the target from each electrode, (N,) V/mm² per mA."""
     tiles = tiles_of(profile, sites)
     for index, tile in enumerate(tiles):
         node_rows: dict[Afferent, Array] = {}

@@ -12,15 +12,18 @@ from smarttouch.base.files import write_bytes
 from smarttouch.profile.electrodes import Shape
 from smarttouch.profile.profile import Profile
 
-CONTACT_PITCH_MM, CONTACT_MM = 0.5, (0.3, 3.0)  # contacts of a connector for flat flexible cables
-MOST_CONTACTS, GAP_MM = 40, 2.0  # most contacts of a connector; gap between connectors
-EDGE_MM, TAIL_MM = 0.5, 10.0  # from copper to the board's edge, from electrodes to contacts
+CONTACT_PITCH_MM = 0.5  # distance between contacts of a connector for flat flexible cables
+CONTACT_MM = (0.3, 3.0)  # width and height of a contact
+MOST_CONTACTS = 40  # largest number of contacts of a connector
+GAP_MM = 2.0  # gap between connectors
+EDGE_MM = 0.5  # distance from copper to the board's edge
+TAIL_MM = 10.0  # distance from the electrodes to the contacts
 _HEAD = """(kicad_pcb (version 20241229) (generator "smarttouch") (generator_version "9.0")
 (layers (0 "F.Cu" signal) (2 "B.Cu" signal) (1 "F.Mask" user) (25 "Edge.Cuts" user)
   (35 "F.Fab" user))
 (general (thickness 0.12)) (paper "A4") (setup (pad_to_mask_clearance 0)) (net 0 "")"""
 _TEXT = '(at 0 0 0) (layer "F.Fab") (hide yes) (effects (font (size 1 1) (thickness 0.15)))'
-# pad number; electrode after which its net is named, if any; x, y, shape, size
+# pad number; electrode of the pad's net, or None; x and y, mm; shape; size, mm
 _Pad = tuple[int, int | None, float, float, Shape, tuple[float, float]]
 
 
@@ -58,7 +61,8 @@ def write_kicad(profile: Profile, folder: Path) -> Path:
 
 
 def drawing(profile: Profile) -> bytes:
-    """Return an SVG of the electrodes and their numbers in true size. Points raise ProfileError."""
+    """Return an SVG of the electrodes and their numbers in true size. Raises ProfileError for point
+    electrodes."""
     pads, (right, down) = _electrodes(profile)
     size = f'width="{2 * right:.6f}mm" height="{2 * down:.6f}mm" font-size="0.5"'
     view = f'viewBox="{-right:.6f} {-down:.6f} {2 * right:.6f} {2 * down:.6f}" stroke="orange"'
@@ -77,7 +81,7 @@ def _electrodes(profile: Profile) -> tuple[list[_Pad], tuple[float, float]]:
     """Return the electrodes as pads, and half the width and height, mm, of a board for them."""
     array, places = profile.electrodes, profile.electrodes.position_mm
     if any(shape == "point" for shape, _ in array.kinds):
-        raise ProfileError("points have no copper: give a shape and a size", key="array.shape")
+        raise ProfileError("shape point has no copper: give a shape and a size", key="array.shape")
     kind_of = {site: kind for kind, sites in array.kinds.items() for site in sites.tolist()}
     reach_mm = max(max(size) for _, size in array.kinds) / 2 + EDGE_MM
     right, down = (np.abs(places).max(axis=0) + reach_mm).tolist()

@@ -34,7 +34,7 @@ _SQUARE = [
         [[0, -1], [-1, 0]],
     )
 ]
-"""Symmetries of a square. A hexagon has others, which do not preserve the lattice of nodes."""
+"""Symmetries of a square. Hexagonal arrays use them too, as the lattice of nodes is square."""
 
 
 def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
@@ -56,8 +56,9 @@ def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
 
 
 def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[np.int_]]:
-    """Return the symmetries of a square, (2, 2) each, that preserve electrode shapes, the axon
-    directions of all classes, and those of the targets of ``targets_of``; identity first."""
+    """Return those symmetries of a square, (2, 2) matrices, that preserve the electrode shapes, the
+    axon directions of all classes and, for classes in ``targets_of``, the direction of the target's
+    axon. The first matrix is the identity."""
     skin = profile.skin
     kinds = profile.electrodes.kinds
     upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in kinds)
@@ -117,11 +118,11 @@ class Kernel:
 
     weights: Array  # (E,) mA for an AF of 1 V/mm² at the target, positive cathodic
     off_target: float  # largest activation of another class, relative to the target
-    off_target_class: Afferent  # class that has this activation
-    spill: float  # largest activation of the same class beyond one pitch, relative to the target
+    off_target_class: Afferent  # the other class that is activated most
+    spill: float  # largest activation of the class more than a pitch away, relative to the target
     node: int = 0  # index of the target node on its axon; 0 is under the electrode
     kind: KernelKind = "weighted"
-    gap: float = 0.0  # largest relative distance from the optimum; 0 if proven optimal
+    gap: float = 0.0  # upper bound of the relative distance from the optimum; 0 if proven optimal
 
     @property
     def peak_normalized(self) -> Array:
@@ -133,7 +134,7 @@ _FIRST_MM = 0.5  # spacing of the nodes that a design checks first
 
 
 def _sublattice(grids: list[tuple[tuple[int, int], int]], apart: int) -> NDArray[np.intp]:
-    """Return indices, (K,), of every ``apart``-th row and column in a stack of lattices."""
+    """Return the indices, (K,), of every n-th row and column of stacked lattices, n = ``apart``."""
     starts, start = [], 0
     for (high, wide), count in grids:
         index = np.arange(start, start + count * high * wide).reshape(count, high, wide)
@@ -152,7 +153,6 @@ def limits_ma(profile: Profile) -> tuple[float, Array]:
 
 
 def masked_site(site: int) -> DesignError:
-    """Return the error for a masked site."""
     return DesignError(
         f"site {site} is masked: its electrode is not driven; choose another, or remove it from "
         "output.masked of the profile",
@@ -163,8 +163,9 @@ def masked_site(site: int) -> DesignError:
 class Problem:
     """Design problem of one class: AF rows of its targets, of its nodes, and of other classes.
 
-    ``others`` are by default both other classes (Eq. 10 has one, Eq. 16 two). All sites of a
-    profile share the rows. `made` caches the rows of a class for further problems of the profile.
+    ``others`` are the classes to avoid: one as in Eq. 10, or two as in Eq. 16 (the default). All
+    sites of a profile share the rows. ``made`` caches the rows of each class for further problems
+    of the profile.
     """
 
     def __init__(
@@ -234,8 +235,8 @@ class Problem:
             raise masked_site(site)
 
     def beyond_a_pitch(self, site: int, node: int = 0) -> NDArray[np.bool_]:
-        """Return which rows of `own`, (M,), are of nodes farther than one pitch from a node of a
-        site's axon."""
+        """Return for each row of `own`, (M,), whether its node is over a pitch from the target. The
+        target is the node of the site's axon with the index ``node``."""
         electrodes = self.profile.electrodes
         target_mm = self.axon_mm(site)[node, :2] if node else electrodes.position_mm[site]
         away = np.linalg.norm(self._own_position_mm - target_mm, axis=1)
@@ -246,7 +247,7 @@ class Problem:
         return float(self.profile.full_ma[site])
 
     def axon(self, site: int) -> Array:
-        """Return the AF rows of the target's axon, (K, E), the node under the electrode first."""
+        """Return the AF rows of the target's axon, (K, E). Row 0: the node under the electrode."""
         sets = along_axon(self.profile, self.afferent, site)
         return np.concatenate([af_matrix(self.profile, one, self.profile.skin) for one in sets])
 
@@ -258,14 +259,14 @@ class Problem:
         )
 
     def representative(self, site: int) -> tuple[int, NDArray[np.intp]]:
-        """Return the first site that mirrors this one, and the permutation that maps it to this
-        site."""
+        """Return the lowest site that a symmetry maps to ``site``, and this symmetry, which is a
+        permutation of the electrodes."""
         moves = [(int(np.flatnonzero(move == site)[0]), move) for move in self.symmetries]
         return min(moves, key=lambda pair: pair[0])
 
     def orbits(self, site: int) -> Array:
-        """Return the orbits of electrodes under the symmetries that keep a site in place, one in
-        each column, (E, O) of 0 and 1. Masked electrodes are 0."""
+        """Return the orbits of electrodes under the symmetries that keep a site in place, (E, O).
+        A column is 1 at the electrodes of its orbit, else 0. Masked electrodes have no orbit."""
         mirrors = np.array([move for move in self.symmetries if move[site] == site])
         _, orbit = np.unique(mirrors.min(axis=0)[self.driven], return_inverse=True)
         patterns = np.zeros((self.electrodes, orbit.max() + 1))
@@ -286,8 +287,11 @@ class Problem:
         aim = self.target[site] if node == 0 else self.axon(site)[node]
         own_af = float(aim @ weights)
         if own_af <= 0:
-            message = f"the pattern for {self.describe(site)} does not activate its target"
-            raise DesignError(message, electrode=site)
+            raise DesignError(
+                f"the pattern for {self.describe(site)} does not activate its target: change the "
+                "array, or the depths of its profile",
+                electrode=site,
+            )
         others = self.other @ weights
         highest = float(others.max())
         # An optimum often activates two classes equally. Rounding errors must not decide which is

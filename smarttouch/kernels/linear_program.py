@@ -23,7 +23,7 @@ _PRICE = 1e-10  # magnitude above which a dual counts as nonzero
 _ROWS_AT_ONCE = 60
 _NEAR = 0.02  # slack below which a row counts as nearly violated
 _MOST_NEAR = 8000
-_BOX = 1e3  # bound of the unknowns: keeps the first rounds finite
+_BOX = 1e3  # largest magnitude of an unknown; without it, the first rounds would be unbounded
 _OPTIONS: Options = {
     "output_flag": False,
     "threads": 1,
@@ -104,10 +104,11 @@ class ProgramRows:
 class LinearProgram:
     """Linear program: minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σ size·w = 0.
 
-    w, (O,), holds the current of the electrodes of each orbit, and `size`, (O,), their number. Of
-    optimal patterns, the one with the least Σ cost·|w| is chosen, for each cost of `ties`, (O,), in
-    turn. `worst` chooses rows to add by the excess of all rows, (N,); by default all violated ones.
-    With `after`, a solved program, this one starts with the rows that `after` used, and t ≥ 0.
+    For each orbit, w, (O,), is the current of one electrode, and ``size``, (O,), the number of
+    electrodes. Of optimal patterns, the one with the least Σ cost·|w| is chosen, for each cost of
+    ``ties``, (O,), in turn. ``worst`` gets the excess of each row, (N,), and returns the rows to
+    add; by default all violated rows. If ``after``, a solved program, is given, this program starts
+    with the rows that ``after`` used, and t ≥ 0.
     """
 
     def __init__(
@@ -115,7 +116,7 @@ class LinearProgram:
         rows: ProgramRows,  # (N, O)
         slope: Array,  # (N,) 1 if t limits the row, else 0
         bound: Array,  # (N,) 0 if t limits the row
-        aims: Array,  # (S, O) each row must reach 1; a single row equals 1
+        aims: Array,  # (S, O) aims·w ≥ 1; a single row has aims·w = 1
         size: Array,
         ties: Sequence[Array],
         worst: Chooser | None = None,
@@ -164,12 +165,9 @@ class LinearProgram:
         return int((np.abs(prices) > _PRICE).sum()) >= self._columns
 
     def limit(self, reference: Array, factors: Array, total: float | None) -> None:
-        """Limit magnitudes to `factors`, (O,), and their sum over all electrodes to `total`, both
-        relative to the current reference·w.
-
-        The reference, (O,), selects the electrode of a site, for example. Infinite factors and a
-        total of None set no limit.
-        """
+        """Limit magnitudes to ``factors``, (O,), and their sum over all electrodes to ``total``.
+        Limits are relative to the current reference·w. The reference, (O,), selects for example the
+        electrode of a site. Infinite factors and a total of None set no limit."""
         bounded = np.flatnonzero(np.isfinite(factors))
         eye = np.eye(self._count)[bounded]
         push = factors[bounded, None] * reference
@@ -312,7 +310,7 @@ class LinearProgram:
         )
 
     def _add_magnitudes(self) -> None:
-        """Add an unknown for each weight that bounds its magnitude; later calls do nothing."""
+        """Add the magnitude of each weight as an unknown; later calls do nothing."""
         count, columns = self._count, self._columns
         if columns > count + 1:
             return

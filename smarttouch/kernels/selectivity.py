@@ -18,15 +18,15 @@ Single = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class FrameFigures:
-    """Selectivity of one slot. `off_target` and `spill` are relative to the weakest target, whose
-    activation is divided by its level."""
+    """Selectivity of one slot. The activation of each target is divided by the target's level.
+    `off_target` and `spill` are relative to the smallest of these quotients."""
 
     off_target: float  # largest activation of any other class
     spill: float  # largest activation of the same class more than a pitch from every target
     weakest: float  # smallest activation of a target, relative to its requested activation
     strongest: float  # largest activation of a target, relative to its requested activation
     total_ma: float  # total cathodic current
-    electrode_ma: float  # current of the strongest electrode
+    electrode_ma: float  # largest current of an electrode
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class FrameBounds:
     of a slot can be weaker than requested by up to `uneven`.
     """
 
-    other: float = 0.30  # largest `FrameFigures.off_target`
-    spill: float = 0.30  # largest `FrameFigures.spill`
-    uneven: float = 0.05  # largest relative deviation of a target from its requested activation
+    other: float = 0.30  # largest allowed `FrameFigures.off_target`
+    spill: float = 0.30  # largest allowed `FrameFigures.spill`
+    uneven: float = 0.05  # largest allowed relative error of a target's activation
 
     def __post_init__(self) -> None:
         for name, value in (("other", self.other), ("spill", self.spill), ("uneven", self.uneven)):
@@ -142,8 +142,8 @@ class FrameJudge:
 
 
 def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
-    """Return the activation of each site's target, (E,) V/mm², by the site's kernel with its peak
-    at the comfort level. Arguments are `KernelBank.kernels` and `KernelBank.receptor`, (E, E)."""
+    """Return the activation of each target, (E,) V/mm², if the peak of its kernel is the comfort
+    level. Arguments are `KernelBank.kernels` and `KernelBank.receptor`, (E, E)."""
     return np.asarray(profile.full_ma * (receptor * kernels).sum(axis=1), np.float64)
 
 
@@ -183,7 +183,7 @@ def _zero_sum(count: int) -> Array:
     return np.asarray(full[:, 1:])
 
 
-MOST_PROVED = 300  # largest array for which sets are proved, in electrodes; takes about 1 s
+MOST_PROVED = 300  # largest number of electrodes for `proved_sets`, which then takes about 1 s
 _STEPS = (2, 3, 4)  # distances between the sites of a set, in rows and columns
 _SINGLE = 1.0001  # safety factor for rounding errors of single precision
 _HALF_UA_MA = 0.0005
@@ -211,11 +211,8 @@ class SharedKernels:
 
     @cached_property
     def excited(self) -> tuple[Array, Array]:
-        """Positive activation by each kernel, (A, N) V/mm², at nodes of other classes and at nodes
-        of the same class.
-
-        Nodes of the same class within a pitch of the kernel's site count as zero.
-        """
+        """Positive activation by each kernel, (A, N) V/mm²: at nodes of other classes, and at nodes
+        of the same class. The latter nodes count as zero within a pitch of the kernel's site."""
         judge = self.operator.judge
         others, own_af = self.kernels @ judge.others.T, np.maximum(self.kernels @ judge.own.T, 0)
         for row, site in zip(own_af, self.sites, strict=True):
@@ -234,7 +231,7 @@ class SharedKernels:
 
     @cached_property
     def totals_ma(self) -> Array:
-        """Total current of each kernel, (A,); the sum of all bounds the total of any subset."""
+        """Total current of each kernel, (A,). A subset has at most the sum of all totals."""
         return np.asarray(np.abs(self.kernels).sum(axis=1) / 2)
 
     @cached_property
@@ -245,10 +242,8 @@ class SharedKernels:
 
     @cached_property
     def weakest(self) -> float:
-        """Lower bound of a target's activation relative to its request, over all subsets.
-
-        It is below 1 if all electrodes are sites, as zero-sum currents cannot meet all requests.
-        """
+        """Lower bound of a target's activation relative to its request, over all subsets. The
+        bound is below 1 if each electrode is a site: zero-sum currents cannot meet all requests."""
         return float((self._reached / self._wish).min())
 
     def _against_targets(self, reached: float) -> float:
@@ -276,31 +271,32 @@ class Certainty:
 
     - Amplitudes are multiples of 1/4 µA, so c_k is off by at most e_k = (1/8 µA) / p_k.
     - Weights are integers with a peak of 32,767, divided by 32,768. This scales all currents by
-      φ = 32,767/32,768, and the sum of a kernel's currents from electrode 0 to any other is off by
-      at most half a step. In a slot whose peaks add up to P, these add up to at most P/65,536.
-    - The sum of a slot's currents from electrode 0 to any other is rounded to 1 µA, by up to 1/2.
+      φ = 32,767/32,768. The running sum of a kernel's currents over the electrodes is off by at
+      most half a step. If the peaks of a slot's kernels add up to P, the running sum of the slot's
+      currents is off by at most P/65,536.
+    - The running sum of the slot's currents is rounded to 1 µA. This adds an error of up to 1/2 µA.
 
-    The last two together are an error of at most h in this running sum, which is exactly 0 at the
-    last electrode. By summation by parts, the AF at a node with row g is then off by at most
-    h Σ|g_j − g_j+1|. The AF is at most Σ_k (c_k + e_k) max(g·K_k, 0) + h Σ|g_j − g_j+1| at a node
-    of another class, and at least φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] −
-    h Σ|T_j − T_j+1| at target i; the latter is divided by the target's level. Without stored
-    kernels, currents are added in double precision and rounded once, with a smaller error.
+    The last two errors add up to at most h. The running sum is exactly 0 at the last electrode. By
+    summation by parts, the AF at a node with row g is then off by at most h Σ|g_j − g_j+1|. At a
+    node of another class, the AF is at most Σ_k (c_k + e_k) max(g·K_k, 0) + h Σ|g_j − g_j+1|. At
+    target i, the AF is at least φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] −
+    h Σ|T_j − T_j+1|, which is then divided by the target's level. Without stored kernels, the
+    error is smaller: currents are added in double precision and rounded once.
     """
 
     # (2, N) largest activation per intensity at nodes of other classes and of the same class
     reached: Array
-    rounding: Array  # (2, N) largest increase of that activation by rounding
+    rounding: Array  # (2, N) largest increase of `reached` by rounding
     target: Array  # (N,) smallest activation of a target per intensity, scaled to level 1
-    lost: Array  # (N,) largest decrease of the scaled target activation by rounding
+    lost: Array  # (N,) largest decrease by rounding of a target's activation, scaled to level 1
     total_ua: float  # largest increase of a slot's total current by rounding
 
     @classmethod
     def of(
         cls, sets: Sequence[SharedKernels], aim: float, faintest: float, most_ma: float
     ) -> "Certainty":
-        """Return the bounds for levels from ``faintest`` to 1 and slots with a total current of at
-        most ``most_ma``. Targets get only ``aim`` times the requested activation."""
+        """Return the bounds for levels from ``faintest`` to 1, if slots carry at most ``most_ma``.
+        The activation of targets is ``aim`` times the requested activation."""
         certainties = [cls._of_one(site_set, aim, faintest, most_ma) for site_set in sets]
         columns = np.array(certainties, np.float64).reshape(-1, 7).T
         return cls(
@@ -321,7 +317,7 @@ class Certainty:
         at_targets = rows @ kernels.kernels.T
         own_af = np.diag(at_targets)
         against = np.minimum(at_targets - np.diag(own_af), 0)
-        # Kernels of stronger points weaken a faint point more, relative to its level.
+        # Other kernels weaken a target most if its level is ``faintest`` and their level is 1.
         least = own_af + against.sum(axis=1) / faintest
         lost = own_af * error - against @ error
         lost += running_ma * np.abs(np.diff(rows, axis=1)).sum(axis=1)
@@ -378,7 +374,7 @@ def provable(profile: Profile) -> bool:
 def proved_sets(judge: FrameJudge, bounds: FrameBounds) -> list[SharedKernels]:
     """Return a few sets of independent sites: all subsets of a set keep the bounds.
 
-    The sets contain all sites. Targets are weakened by `AIM`. Limits of electrodes are checked; the
+    Each site is in a set. Targets are weakened by `AIM`. Limits of electrodes are checked; the
     total current is not. The list is empty if the array is too large or not a grid, or if no sets
     could be proved.
     """

@@ -1,7 +1,7 @@
 """Kernels for boards that switch one current source: each electrode is cathode, anode or insulated.
 
 The current divides among the electrodes of a pole by their admittance. One pole is always a single
-electrode. With several, one would carry all current if the others lost contact.
+electrode: of several electrodes, one would carry all current if the others lost contact.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,6 @@ def polarity(profile: Profile, afferent: Afferent) -> str:
 
 
 def possible_modes(profile: Profile) -> list[Afferent]:
-    """Return the modes that the profile's board can produce."""
     offered = profile.output.polarities if profile.output.kind != "weighted" else ()
     return [
         afferent for afferent in Afferent if not offered or polarity(profile, afferent) in offered
@@ -83,11 +82,11 @@ def design_kernel(
 
 
 def design_three_state(problem: Problem, site: int) -> Kernel:
-    """Return the kernel of one electrode against its ring, with all others insulated (paper, Fig.
-    19), or against all others.
+    """Return the better of two kernels: one electrode against its ring, or against all others.
 
-    A kernel that keeps the limits is preferred, then the more selective one. The ring consists of
-    the electrodes within `_RING_PITCHES`, or of the nearest ones if there are none.
+    A ring consists of the electrodes within `_RING_PITCHES` or, if there are none, of the nearest
+    ones; electrodes outside the ring are insulated (paper, Fig. 19). A kernel that keeps the limits
+    is better than one that does not; otherwise the more selective kernel is better.
     """
     problem.check_site(site)
     away_mm = problem.profile.electrodes.distance_mm[site]
@@ -106,10 +105,8 @@ def design_three_state(problem: Problem, site: int) -> Kernel:
 
 
 def design_one_of_n(problem: Problem, site: int) -> Kernel:
-    """Return the kernel of a board that drives one electrode against all others.
-
-    Such a board also connects masked electrodes; their share of the current is unknown and ignored.
-    """
+    """Return the kernel of a board that drives one electrode against all others. Such a board also
+    connects masked electrodes; their share of the current is unknown and ignored."""
     problem.check_site(site)
     return _against(problem, site, problem.driven[problem.driven != site], "one-against-all")
 

@@ -1,12 +1,13 @@
 """Design of optimal kernels by the paper's min–max program, with a bound on spill.
 
-For a target node with activating-function row a, and rows A of all other afferents (Eq. 10 to 18)::
+Row a is the activating function (AF) at the target node for 1 mA through each electrode. Rows A are
+the same at all nodes of other classes. The paper's program (Eq. 10 to 18) is::
 
     minimize t   such that   A w ≤ t,   a·w = 1,   Σw = 0
 
-The AF at all other nodes of the target's axon is at most 1 (Eq. 11). The bound `SPILL` is not in
-the paper: without it, on a grid, neighbors of the same class nearly fire. Of all patterns with t
-within `GIVEN_UP` of the minimum, the one with the least spill is chosen.
+The AF at all other nodes of the target's axon is at most 1 (Eq. 11). Spill is at most `SPILL`, a
+bound that is not in the paper: without it, neighbors of the same class would nearly fire on a grid.
+Of all patterns with t within `GIVEN_UP` of the minimum, the one with the least spill is chosen.
 """
 
 import numpy as np
@@ -17,12 +18,13 @@ from smarttouch.base.errors import DesignError
 from smarttouch.kernels.design_problem import Array, Kernel, Problem, limits_ma
 from smarttouch.kernels.linear_program import Chooser, LinearProgram, Options, ProgramRows
 
-SPILL = 0.2  # largest activation of the same class beyond one pitch, relative to the target
+# Largest allowed activation of the class more than a pitch from the target, relative to the target
+SPILL = 0.2
 GIVEN_UP = 0.03
 """Relative increase of off-target that is allowed in order to reduce spill."""
 _WORTHWHILE = 1e-6
 _SEARCHED_MM = 0.5  # spacing of the nodes that `design_any_node` tries as target
-_LOOSE_ROWS = 40  # largest number of rows of spill and Eq. 11 added per round
+_LOOSE_ROWS = 40  # largest number of rows added per round for the spill bound and Eq. 11
 
 
 def design_kernel(
@@ -84,7 +86,7 @@ def design_kernel(
 
 def design_any_node(problem: Problem, site: int) -> Kernel:
     """Return the best kernel over all target nodes of a site's axon (Eq. 13 to 15). If nodes are
-    denser than `_SEARCHED_MM`, try only nodes about that far apart."""
+    denser than `_SEARCHED_MM`, try only nodes about `_SEARCHED_MM` apart."""
     problem.check_site(site)
     nodes = problem.axon_mm(site)
     away = np.linalg.norm(nodes - nodes[0], axis=1) / _SEARCHED_MM
@@ -138,8 +140,8 @@ class _ProgramBuilder:
         self._even_bound = np.repeat([0.0, 0.0, 1.0], counts)
 
     def program(self, even: bool, options: Options | None) -> LinearProgram:
-        """Return the program that minimizes off-target with a bound on spill or, if ``even``, the
-        larger of off-target and spill."""
+        """Return the program that minimizes off-target with a bound on spill. If ``even``, the
+        program instead minimizes the larger of off-target and spill."""
         slope, bound = (self._even_slope, self._even_bound) if even else (self._slope, self._bound)
         return self._of(slope, bound, options)
 
@@ -181,7 +183,7 @@ class _ProgramBuilder:
         return True
 
     def break_limits(self, program: LinearProgram) -> bool:
-        """Return whether a program's optimum, or an equally good one, may exceed the limits."""
+        """Return False if a program's optimum is proven unique and keeps the limits, else True."""
         pattern, (reference, factors, total) = program.pattern, self._limits()
         current, magnitude = float(reference @ pattern), np.abs(pattern)
         in_all = float(self.orbits.sum(axis=0) @ magnitude)
@@ -193,23 +195,21 @@ class _ProgramBuilder:
         )
 
     def _limits(self) -> tuple[Array, Array, float]:
-        """Return the row that selects the current of the site's electrode, and the limits of each
-        unknown and of the total as multiples of this current."""
+        """Return the row that selects the current of the site's electrode, the limit of each
+        unknown, and the limit of the sum of magnitudes. Limits are multiples of this current."""
         total, electrode = limits_ma(self._problem.profile)
         site, full = self._site, self._problem.full_ma(self._site)
         reference = np.sign(self._problem.target[site, site]) * self.orbits[site]
         factors = np.where(self.orbits > 0, electrode[:, None], np.inf).min(axis=0) / full
-        # The site's electrode carries the comfort level, which the profile keeps within limits.
+        # The site's electrode needs no limit: it carries the comfort level, which is allowed.
         factors[self.orbits[site].argmax()] = np.inf
-        # The total is that of cathodes, which carry half of the sum of magnitudes.
+        # `total` limits the cathodic current, which is half of the sum of magnitudes.
         return reference, factors, 2 * total / full
 
 
 def _peaks(problem: Problem) -> Chooser:
-    """Return a function that selects violated rows at local maxima of their lattice.
-
-    Neighboring rows are nearly equal, so one row per maximum is enough.
-    """
+    """Return a function that selects violated rows where the excess has a local maximum. Rows of
+    neighboring nodes are nearly equal, so one row per maximum is enough."""
 
     def choose(excess: Array) -> np.ndarray:
         chosen, start = [], 0
