@@ -52,8 +52,8 @@ class Field(NamedTuple):
 def around_axis(
     x: Array, y: Array, potential: Array, zz: Array, around: Array, slanted: Array
 ) -> Field:
-    """Return the cathodic field of an anodic potential Φ that is symmetric about the z axis.
-    Arguments after x and y: Φ, ∂²Φ/∂z², (∂Φ/∂r)/r, (∂²Φ/∂r∂z)/r, all finite on the axis."""
+    """Return the field of a cathode that is symmetric about the z axis. Arguments after x and y are
+    those of an anode of equal shape: Φ, ∂²Φ/∂z², (∂Φ/∂r)/r, (∂²Φ/∂r∂z)/r, finite on the axis."""
     r2 = x * x + y * y
     # ∂²Φ/∂r² follows from Laplace's equation; on the axis it equals (∂Φ/∂r)/r.
     stretch = np.divide(-zz - 2 * around, r2, out=np.zeros_like(r2), where=r2 > 1e-12)
@@ -142,10 +142,11 @@ def _discs_of_annulus(
 ) -> list[tuple[float, float]]:
     """Return shares and radii of equipotential discs that add up to an annulus of uniform density.
 
-    A disc of radius b with uniform density is the mean, over angles φ from 0 to π/2, of 2 sin²φ
-    times an equipotential disc of radius b sin φ: the integral of t dt / √((b² − t²)(t² − s²)) for
-    t from s to b is π/2 for every s. The mean is computed by the midpoint rule. With n angles its
-    error is about exp(−4n arsinh(z/b)).
+    An annulus is a disc with uniform density minus a smaller one. Such a disc, of radius b, is a
+    weighted mean of equipotential discs of radius b sin φ, where φ goes from 0 to π/2 and the
+    weight is 2 sin²φ. Proof: the integral of t dt / √((b² − t²)(t² − s²)) for t from s to b is π/2
+    for every s. The mean is computed by the midpoint rule. With n angles its error is about
+    exp(−4n arsinh(z/b)).
     """
     discs: list[tuple[float, float]] = []
     for radius, sign in ((outer, 1.0), (inner, -1.0)):
@@ -188,8 +189,8 @@ def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: fl
 
 
 _MARGIN_PITCHES = {"plane": 2.0}
-"""Margin around the electrodes in which nodes are considered, in pitches; 1 in other media. In the
-plane, 2 gives the paper's range of −5 to 5 mm."""
+"""Nodes are considered up to this distance from the array, in pitches, by medium; the default is 1.
+In the plane, 2 gives the paper's range of −5 to 5 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,15 +256,15 @@ def everywhere(profile: Profile, afferent: Afferent) -> Afferents:
 
 
 def along_axon(profile: Profile, afferent: Afferent, site: int) -> tuple[Afferents, ...]:
-    """Return the nodes of the axon under a site, one set for each depth, the node under the
-    electrode first. An upright axon continues downward, a horizontal one to both sides."""
+    """Return the nodes of the axon under a site, one set for each depth. The first node lies below
+    the electrode. An upright axon continues downward, a horizontal one to both sides."""
     center = profile.electrodes.position_mm[site]
     skin, first = profile.skin, targets(profile, afferent)
     direction = first.direction[0]
     spacing = skin.node_spacing_mm
     sets: list[tuple[NDArray[np.float64], float, str | None]]
     if direction[2] == 0:
-        # Keep to the region of `everywhere`.
+        # Keep only nodes in the region of `everywhere`.
         reach_mm = _reach_mm(profile) + 1e-9
         steps = np.arange(1, int(2 * reach_mm.max() / spacing) + 1) * spacing
         away = np.concatenate([[0.0], steps, -steps])
@@ -307,7 +308,7 @@ def field_at(
     position_mm: NDArray[np.float64],
     depth_mm: float | NDArray[np.float64],
 ) -> tuple[Field, float]:
-    """Return the field of each electrode, (N, E), and the factor that converts it to V/mA.
+    """Return the field of each electrode, (N, E), and a factor that converts potentials to V/mA.
 
     Points are (N, 2) mm along the skin, at one depth or at depths (N, 1). The same factor converts
     second derivatives to V/mm² per mA.
@@ -381,9 +382,7 @@ def af_matrix(
 
 def potential_mv(profile: Profile, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the potential (..., E), mV per mA of cathodic current, at points (..., 3) mm.
-
-    It is negative under a cathode.
-    """
+    The potential is negative under a cathode."""
     electrodes, skin = profile.electrodes, profile.skin
     flat, depth = points_mm.reshape(-1, 3)[:, :2], points_mm.reshape(-1, 3)[:, 2:]
     closed = {shape for shape, _ in electrodes.kinds} <= {"disc", "annulus"}

@@ -39,7 +39,7 @@ class Population:
 def axon_path_points(
     one: Population, branches: NDArray[np.intp], nodes: int, spacing_mm: float
 ) -> Array:
-    """Return the places of nodes along branches, (B, N, 3) mm, ending first."""
+    """Return the places of nodes along branches, (B, N, 3) mm. Node 0 is the ending."""
     points = _along(one.axon_path_mm[branches], np.arange(nodes, dtype=np.float64) * spacing_mm)
     return _rounded(points, int(one.anatomy.bend_mm / spacing_mm / 2))
 
@@ -220,10 +220,7 @@ class Finger:
         lean: Array,
     ) -> Array:  # fmt: skip
         """Return the corners of each branch, (B, P, 3): ending, end of the upright part, joint of
-        the branches, and end of the horizontal part.
-
-        Axons with a descending part have one more corner at its end.
-        """
+        the branches, end of the horizontal part, and end of the descending part, if any."""
         top = np.maximum(depth - anatomy.receptor_above_mm, _SHALLOWEST_MM)
         plexus = np.maximum(anatomy.plexus_mm or 0.0, depth)
         upright = (plexus - top)[:, None]
@@ -243,7 +240,7 @@ class Finger:
         first = np.r_[True, np.diff(owner) > 0] if len(owner) else np.zeros(0, np.bool_)
         drives = [np.zeros((0, len(self.profile.electrodes)), np.float32)]
         branches = [np.zeros(0, np.intp)]
-        # The first branch of an axon continues along it; the others end at their joint with it.
+        # The first branch of an axon includes the common part. The others end at the joint.
         for which, corners in ((first, population.axon_path_mm.shape[1] - 1), (~first, 2)):
             # Sort by length: each batch is padded to its longest branch.
             order = np.argsort(axon_path_length_mm(population.axon_path_mm, corners), kind="stable")
@@ -260,8 +257,8 @@ class Finger:
     def _drives_of_branches(
         self, population: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
     ) -> tuple[Floats, NDArray[np.intp]]:
-        """Return the drives of the nodes of some branches, up to a corner, and the branch of each
-        node."""
+        """Return the drives of the nodes on some branches, from the ending to a corner, and the
+        branch of each node."""
         spacing = driving.internode_mm
         length_mm = axon_path_length_mm(population.axon_path_mm[part], corners)
         nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1
@@ -289,8 +286,8 @@ class Finger:
         limit_ma = float(limits.current_ma)
         total = float(limits.total_ma or np.inf)
         share = np.clip(total - limit_ma * np.arange(rows.shape[1]), 0, limit_ma)
-        # Pair the electrode of the largest drive with that of the smallest, then the second with
-        # the second smallest, and so on. Pairs that would lower the drive get no current.
+        # Pair the electrode with the largest drive and the one with the smallest, then the second
+        # largest and the second smallest, and so on. Pairs that lower the drive get no current.
         return np.asarray(np.maximum(ranked[:, ::-1] - ranked, 0) @ share)
 
 

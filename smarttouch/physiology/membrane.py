@@ -20,22 +20,23 @@ from smarttouch.base.errors import DesignError
 Array = NDArray[np.float64]
 
 _NODE_UF_PER_CM2 = 2.5
-_SODIUM_PER_US = 1445.0 / _NODE_UF_PER_CM2 / 1000  # conductance over capacitance, 1/µs
+_SODIUM_PER_US = 1445.0 / _NODE_UF_PER_CM2 / 1000  # conductance per capacitance, 1/µs
 _LEAK_PER_US = 128.0 / _NODE_UF_PER_CM2 / 1000
 _SODIUM_MV = 115.0
 _AXOPLASM_OHM_CM = 54.7  # Sweeney et al. 1987
 _BARE_UF_PER_CM2, _BARE_MS_PER_CM2 = 1.0, 1.0  # unmyelinated membrane, textbook values
-_RATES_HOLD_MV = 200.0  # limit of the potential in gate rates: gates are saturated there
+_RATES_HOLD_MV = 200.0  # largest potential in gate rates: beyond it, gates are saturated
 
 _PADDING = 12  # nodes added beyond the last one
-_WATCHED = -5  # padding node whose spike counts as firing of the fiber
+_WATCHED = -5  # index of the padding node whose spike shows that the fiber has fired
 _FIRED_MV = 80.0
 # Once the m gates have settled (12 µs), a fiber below 10 mV stays silent: its leak current exceeds
 # the sodium current, even with all h gates open.
 _QUIET_MV, _SETTLED_US = 10.0, 100.0
 _FLOOR_MA, _CEILING_MA = 1e-4, 1000.0
-# Number of currents tried in each round; the last is within 0.1 %. The first round tries many, as
-# strong cathodic currents block spikes: some fibers fire only up to three times their threshold.
+# Number of currents tried in each round. The last round finds the threshold within 0.1 %. The first
+# round tries many currents, because strong cathodic currents block spikes: some fibers do not fire
+# above three times their threshold.
 _ROUNDS = (71, 17, 17)
 _PATIENCE_US = 20_000.0  # longest wait after the pulse; a spike takes about 10 µs per node
 
@@ -50,9 +51,10 @@ class Fiber:
     """
 
     diameter_um: float = 3.3  # outer; 3.3 ± 0.5 at the fingertip (Nolano et al. 2003)
-    # 0.079 ± 0.014 at the fingertip (Nolano et al. 2003); 100 diameters in trunks (McNeal 1976)
+    # Distance between nodes: 0.079 ± 0.014 at the fingertip (Nolano et al. 2003), 100 diameters in
+    # nerve trunks (McNeal 1976)
     internode_mm: float = 0.079
-    axon_ratio: float = 0.6  # axon diameter over fiber diameter (Sweeney et al. 1987)
+    axon_ratio: float = 0.6  # axon diameter relative to fiber diameter (Sweeney et al. 1987)
     node_um: float = 1.5  # length of a node (Sweeney et al. 1987)
     end: Literal["passive", "active", "through"] = "passive"
     # Membrane area of a passive terminal with 1 µF/cm² and 1 mS/cm². Our estimate: 0.5 mm of
@@ -70,7 +72,7 @@ class Fiber:
 
     @property
     def coupling_per_us(self) -> float:
-        """Axial conductance between nodes over the capacitance of a node, d / (4 ρ L c l), 1/µs."""
+        """Axial conductance between nodes per capacitance of a node, d / (4 ρ L c l), 1/µs."""
         axon_over_node = self.diameter_um * self.axon_ratio / self.node_um
         return axon_over_node / (4 * _AXOPLASM_OHM_CM * self.internode_mm * 0.1 * _NODE_UF_PER_CM2)
 
@@ -106,13 +108,15 @@ class Axon:
 
         self._gates_at_rest = _gates(np.zeros(1))[1]
         m, h = self._gates_at_rest[:, 0]
-        # This leak current makes 0 mV exactly the resting potential; Sweeney's −0.01 mV is rounded.
+        # This leak current makes the resting potential exactly 0 mV. Sweeney's rounded leak
+        # potential, −0.01 mV, would not.
         self._leak_current = -self._sodium * m * m * h * _SODIUM_MV
         self.step_us = step_us
 
     @staticmethod
     def passive_parts(fiber: Fiber, count: int) -> tuple[Array, Array]:
-        """Return axial coupling of potentials and of the field, (P, 2P), and leaks, (P,), 1/µs."""
+        """Return axial coupling, (P, 2P), and leaks, (P,), 1/µs. The first P columns of the
+        coupling are factors of the potentials, the other P are factors of the field."""
         coupling = np.eye(count, k=1) + np.eye(count, k=-1)
         coupling -= np.diag(coupling.sum(axis=1))
         axial = fiber.coupling_per_us * np.column_stack([coupling, np.eye(count)])
@@ -180,10 +184,10 @@ def threshold_ma(
 ) -> float:
     """Return the threshold current of a rectangular pulse, mA, within 0.1 %.
 
-    Extracellular potentials at the nodes, (N,), mV per mA of cathodic current, begin at the ending;
-    toward the last node they should be zero or linear. A fiber fires if an action potential leaves
-    the field, so that a node beyond the last one exceeds 80 mV. Raises DesignError if the threshold
-    is outside 0.0001 to 1000 mA.
+    The first argument is the extracellular potential at each node, (N,), mV per mA of cathodic
+    current. Node 0 is the ending. At the last nodes the potential should be zero, or linear along
+    the fiber. The fiber fires if a spike leaves the field: beyond the last node, the membrane
+    potential exceeds 80 mV. Raises DesignError if the threshold is outside 0.0001 to 1000 mA.
     """
     steps = max(1, int(np.ceil(width_us / step_us - 1e-9)))
     axon = Axon(potential_mv_per_ma, fiber, width_us / steps)
@@ -250,26 +254,24 @@ current; macaque RA afferents need 1.3 to 1.5 times (Kaczmarek 2000)."""
 
 @dataclass(frozen=True, eq=False)
 class DrivingFunction:
-    """Linear function of the potentials along a fiber that predicts whether it fires."""
+    """Linear function of the potentials along a fiber. It predicts whether the fiber fires."""
 
     internode_mm: float
     end: End  # kind of ending, as in `Fiber`
     along: Array  # (K + 1,) 1/mV: weights of a node and of K neighbors on each side
-    near_end: Array  # (H, L) 1/mV: weights for the first H nodes; (0, 0) for "through"
+    near_end: Array  # (H, L) 1/mV: weights of L nodes in the first H drives; (0, 0) for "through"
     # Hyperpolarizing drive that blocks a passing spike, relative to the drive of the firing node;
     # infinite if spikes are never blocked. Long anodic pulses can block.
     block: float = np.inf
 
     def drive(self, potential_mv: Array) -> Array:
-        """Return the drive, (C, M, E), for potentials (C, N, E), ending first; 1 is the
-        threshold."""
+        """Return the drives of nodes, (C, M, E), for potentials (C, N, E), which begin at the
+        ending. A node fires at a drive of 1."""
         return self.operator(potential_mv.shape[-2]) @ potential_mv
 
     def highest(self, potential_mv: Array) -> Array:
-        """Return the largest drive, (C,), of nodes whose spikes reach the last node.
-
-        Potentials are (C, N). The drive is 0 if the spikes of all nodes are blocked on the way.
-        """
+        """Return the largest drive, (C,), of nodes whose spikes reach the last node; 0 if all
+        spikes are blocked on the way. Potentials are (C, N)."""
         drive = self.drive(potential_mv[..., None])[..., 0]
         return np.asarray(np.where(passes(drive, self.block), drive, 0.0).max(axis=1))
 
@@ -330,7 +332,7 @@ def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
     if not widths[0] <= width_us <= widths[-1]:
         raise DesignError(
             f"a pulse of {width_us:g} µs is outside the fitted widths of {widths[0]:g} to "
-            f"{widths[-1]:g} µs: choose a width within them"
+            f"{widths[-1]:g} µs: choose a width in this range"
         )
     weights = {
         part: np.array([fitted[f"{width:g}"][part] for width in widths])

@@ -51,8 +51,8 @@ class SpikeModel:
     """Spiking model of a finger's afferents, with thresholds, noise and refractory periods.
 
     An afferent fires in a slot if the drive of one of its nodes reaches its threshold and it did
-    not fire within the refractory period. Drives depend on pulse width by Weiss's law. ``seed`` is
-    that of the noise of thresholds from pulse to pulse.
+    not fire within the refractory period. Drives depend on pulse width by Weiss's law. ``seed``
+    determines the noise: random changes of thresholds from pulse to pulse.
     """
 
     def __init__(self, finger: Finger, seed: int = 1) -> None:
@@ -106,8 +106,8 @@ class SpikeModel:
         return np.asarray(highest * by_class.astype(np.float32)[:, self.finger.classes])
 
     def fire(self, slots: SlotCurrents, above: Floats | None = None) -> Spikes:
-        """Return the spikes of the sequence that follows the last one. ``above`` is the result of
-        `drive` for its slots, if known."""
+        """Return the spikes of a sequence. It begins when the sequence of the last call ends.
+        ``above`` is the result of `drive` for its slots, if known."""
         lasts = slots.width_us.astype(np.int64) + slots.discharge_us
         time_us = self._now_us + np.cumsum(lasts) - lasts
         if above is None:
@@ -131,17 +131,15 @@ class SpikeModel:
 
 @dataclass(frozen=True)
 class ResponseQuality:
-    """Quality of a finger's response to a pattern.
-
-    Active electrodes are those that were requested to stimulate.
-    """
+    """Quality of a finger's response to a pattern. Active electrodes are those that were requested
+    to stimulate."""
 
     spikes: int  # of all classes
     afferents: dict[Afferent, int]  # number of afferents that fired, by class
     # share of active electrodes without a firing receptor of a wanted class within half a pitch
     silent_points: float
     wrong_class: float  # share of spikes of classes that are not wanted; NaN without spikes
-    # share of spikes more than a pitch from every active electrode; NaN without spikes
+    # share of spikes more than a pitch away from all active electrodes; NaN without spikes
     misplaced: float
 
 
@@ -293,8 +291,9 @@ def delivered_spikes(
     model: SpikeModel | None = None,
 ) -> Counts:
     """Return the spike counts of a finger for delivered slots, (N,), by sequence number. Slots of a
-    sequence are consecutive; only sequences in ``period_us`` are used and, if there are more than
-    ``most_slots`` slots, only every n-th of these. A ``model`` keeps its cached drives."""
+    sequence are consecutive. Sequences that are missing in ``period_us`` are left out. If there are
+    more than ``most_slots`` slots, only every n-th sequence is used. ``model`` is reset, but its
+    cached drives are used."""
     begins = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
     parts = zip(begins, np.append(begins[1:], len(numbers)), strict=False)
     sequences = {}

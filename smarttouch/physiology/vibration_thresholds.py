@@ -11,15 +11,15 @@ hyperbolas with a minimum at the best frequency; SAI is flat up to a few hertz. 
 - Slopes: the four-channel model (Bolanowski, Gescheider, Verrillo and Checkosky,
   J. Acoust. Soc. Am. 84, 1988): about -12 dB per octave below the best frequency of the
   Pacinian channel, about -5 below that of NP I (RA), none for NP III (SAI).
-- Minima: PC has -10 dB re 1 µm under 0.3 cm² of a finger pad. This is extrapolated
-  from -20 dB under 2.9 cm² of the thenar (Bolanowski et al.) with 3 dB for each halving of the area
-  (Verrillo, J. Acoust. Soc. Am. 35, 1963); on the fingertip, the 3 dB are confirmed only from 0.025
-  to 0.1 cm² (Gescheider 2002). SAI has 28 dB (Bolanowski et al.). RA's minimum follows from the
-  intersection with PC.
+- Minima: PC has -10 dB re 1 µm for a contactor of 0.3 cm² on a finger pad. This is extrapolated
+  from -20 dB for 2.9 cm² on the thenar (Bolanowski et al.), plus 3 dB for each halving of the area
+  (Verrillo, J. Acoust. Soc. Am. 35, 1963). On the fingertip, these 3 dB are confirmed only from
+  0.025 to 0.1 cm² (Gescheider 2002). SAI has 28 dB (Bolanowski et al.). RA's minimum follows from
+  the intersection with PC.
 
 With these parameters, RA and SAI intersect at about 5 Hz. Recordings from human afferents confirm
-the order (Johansson, Landström and Lundström, Brain Res. 244, 1982: RA 8 to 64 Hz, PC above, SAI
-below). The curvature at the minimum is our choice. These are thresholds of perception; a single
+the order SAI, RA (8 to 64 Hz), PC (Johansson, Landström and Lundström, Brain Res. 244, 1982).
+The curvature at the minimum is our choice. These are thresholds of perception; a single
 afferent needs stronger vibration (`examples/studies/receptor_spikes.py`).
 """
 
