@@ -1,4 +1,4 @@
-"""Afferent classes, the tactile primary colors, and modes of a run that stimulate them."""
+"""Afferent classes, and modes of a run, which stimulate one or several classes."""
 
 from enum import IntEnum, StrEnum
 

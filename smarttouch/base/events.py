@@ -16,7 +16,7 @@ class Event:
 
     time_ns: int
     reveals: ClassVar[bool] = False
-    """Whether the text reveals the right answer of a trial; participants must not see it then."""
+    """Whether the text reveals the right answer of a trial and must be hidden from participants."""
     words: ClassVar[str] = ""
     """Format string of the text; names in braces are attributes of the event."""
 

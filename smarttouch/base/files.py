@@ -141,10 +141,8 @@ def owner_only(path: str, flags: int) -> int:
 
 
 def make_folder(path: Path) -> None:
-    """Create a folder and its parents, accessible only by their owner.
-
-    Raises errors like `Path.mkdir`. Existing folders are not changed.
-    """
+    """Create a folder and its parents, accessible only by their owner. Existing folders are not
+    changed. Raises errors like `Path.mkdir`."""
     if not path.is_dir():
         make_folder(path.parent)
         path.mkdir(0o700, exist_ok=True)
@@ -186,7 +184,7 @@ def replace_file(path: Path, data: bytes) -> None:
 def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
     """Open a file for reading and writing with an exclusive lock; create it if it is missing.
 
-    Only its owner may read it afterwards. Until the file is closed or this program ends, other
+    Afterwards only the file's owner may read it. While it is open in this program, other
     programs that call this function get an error. File systems without locks give no protection.
     """
     while True:

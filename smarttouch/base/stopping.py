@@ -38,11 +38,12 @@ class StopRequest:
         with self._lock:
             # Keep the first reason, also after a second Ctrl-C.
             self.reason = self.reason or reason
-            # Under the lock: `on_stop` in another thread adds its function before, or sees this.
+            # Set the event under the lock. If another thread is in `on_stop`, its function is
+            # either in the list already, or `on_stop` sees the event and calls the function.
             self.event.set()
             calls = self._on_stop.copy() if at_once else []
         with contextlib.ExitStack() as stack:
-            # Call all functions even if one raises. A lost board is reported when it is closed.
+            # Call all functions even if one raises. The loss of a board is reported by its `close`.
             for call in reversed(calls):
                 stack.enter_context(contextlib.suppress(SmartTouchError))
                 stack.callback(call)
@@ -55,8 +56,8 @@ class StopRequest:
 
     @contextmanager
     def on_stop(self, tell: Callable[[], None]) -> Iterator[None]:
-        """Call a function when the end is requested during the block, or now if it was requested
-        before."""
+        """Call a function when the end is requested during the block. Call it at once if the end
+        was requested before the block."""
         self.always_on_stop(tell)
         try:
             if self.event.is_set():

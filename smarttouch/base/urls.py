@@ -62,8 +62,8 @@ class Registry:
         """Raise an error unless an opener returned an object of the right class."""
         if not isinstance(opened, self._kind):
             raise self._error(
-                f"{url} opened {kind_in_words(opened)}: its package must return a "
-                f"{self._kind.__name__}"
+                f"{url} opened {kind_in_words(opened)} instead of a {self._kind.__name__}: report "
+                "this to the author of its package"
             )
 
 
@@ -97,7 +97,7 @@ def read_options(
     """Split the part of a URL after its name into an address and options.
 
     Options are the parameters of ``opener`` that have a default, except ``but``, and those in
-    ``more``. The text has no options if it is the name of a file, if the part after ``?`` does not
+    ``more``. ``rest`` has no options if it is the name of a file, if the part after ``?`` does not
     look like options (``text:Is it so?``), or if the opener has none.
     """
     address, mark, query = rest.rpartition("?")
@@ -105,7 +105,7 @@ def read_options(
     parts = [part.partition("=")[::2] for part in query.split("&")]
     if not (mark and known) or not all(_NAME.fullmatch(name) for name, _ in parts):
         return rest, {}
-    # A name without a value is an option only if it is known: "text:Why?because" has none.
+    # A name without a value is an option only if it is known: "text:Why?because" has no option.
     if not all(name in known or f"{name}=" in query for name, _ in parts) or file_at(rest):
         return rest, {}
     values: dict[str, Any] = {}
@@ -141,7 +141,7 @@ def all_options(
     for name in options:
         if name not in taken:
             kind, takes = url.partition(":")[0], ", ".join(taken) or "none"
-            raise error(f"{kind}: does not take {name}: leave it out (it takes {takes})")
+            raise error(f"{kind}: has no option {name}: leave {name} out (options: {takes})")
     address, in_url = read_options(opener, rest, error, but)
     if twice := sorted(options.keys() & in_url.keys()):
         raise error(f"{twice[0]} is given in {url!r} and as an argument: leave one out")

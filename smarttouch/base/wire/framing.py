@@ -46,13 +46,14 @@ class Deframer:
 
     def head(self, count: int) -> bytes | None:
         """Return the first ``count`` bytes of the incomplete packet, decoded but without a check of
-        the CRC; None if there are fewer."""
+        the CRC. Return None if fewer bytes have arrived."""
         data, at = bytearray(self.waiting[: count + 2]), 0
         if not data:
             return None
         while at + data[at] < len(data):
             at += data[at]
-        # The last COBS block may be incomplete. If it is complete and short, a zero follows it.
+        # Shorten the last COBS block to the bytes that have arrived. If the block is complete and
+        # below the largest length, a zero follows its bytes.
         zero = b"\0" if at + data[at] == len(data) and data[at] < 0xFF else b""
         data[at] = len(data) - at
         decoded = bytes(cobs.decode(bytes(data))) + zero

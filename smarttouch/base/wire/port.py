@@ -59,10 +59,10 @@ def open_port(
         port.dtr = port.rts = False
         port.open()
         if HAS_POSIX and _is_device(port):
-            # Also exclude programs that ignore the lock of pyserial, except those of root.
+            # Also exclude programs that ignore pyserial's lock. Programs of root are not excluded.
             fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
         if url.startswith("socket://"):
-            # Otherwise short commands would wait until the peer acknowledges earlier ones.
+            # Without TCP_NODELAY, short commands wait until the peer acknowledges earlier ones.
             port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except (*LINE_ERRORS, ValueError, AttributeError) as failure:
         raise error(f"cannot open {name}: {_advice(failure)}") from None
@@ -70,7 +70,7 @@ def open_port(
 
 
 def _is_device(port: Port) -> bool:
-    """Return False for a pseudo-terminal, which would stay exclusive after it is closed."""
+    """Return whether a port is a device. A pseudo-terminal would stay locked after its closing."""
     try:
         return not os.ttyname(port.fileno()).startswith(_PSEUDO)
     except (OSError, AttributeError):
@@ -190,14 +190,14 @@ def write_before(
         if (failure := ctypes.get_errno()) not in (errno.EAGAIN, errno.EINTR):
             raise OSError(failure, os.strerror(failure))
         if not select.select([], [number], [], within_s)[1]:
-            raise serial.SerialTimeoutException("it accepts no bytes")
+            raise serial.SerialTimeoutException("the device accepts no bytes")
     if sent < len(data):
         port.write(data[sent:])
     return True
 
 
 def _other(name: str) -> OtherDeviceError:
-    return OtherDeviceError(f"{name} has the USB identity of another device: nothing was sent")
+    return OtherDeviceError(f"{name} is another USB device now: connect the device of this run")
 
 
 def reason(error: Exception) -> str:
