@@ -219,7 +219,7 @@ class ETactileKitDriver(Driver):
             max_current_ma=wire.LARGEST * self.ua_per_count / 1000,
             max_slots=self._limits.electrodes,
             time_to_zero_ms=NEWEST_ZERO_MS if self._firmware == "newest" else None,
-            kept_ms=wire.KEPT_MS,
+            kept_ms=math.ceil(wire.KEPT_MS + len(self._kit.zero) / wire.BYTES_PER_MS),
             firmware=f"{named}, {capacity} outputs",
             measures=True,
             host_timed=True,

@@ -266,6 +266,7 @@ class ETactileKitLine:
 
 BEAT_S = 0.02
 ENDS_WITHIN_S = 1.5  # longest wait for the end of the watchdog; zero for 253 outputs takes 0.4 s
+BYTES_PER_MS = 92  # transmission on a serial line of 921,600 Bd
 KEPT_MS = 100.0  # longest time from the end or hang of this program to the first byte of zero
 STALE_NS = int(0.8e9 * watchdog.SILENCE_S)
 """Time since the last heartbeat after which this program stops writing. The watchdog waits longer,
