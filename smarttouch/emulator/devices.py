@@ -30,13 +30,13 @@ BOARDS = {"link": (64, 1, 4096), "kajimoto61": (61, 61, 61), "etactilekit": (32,
 """Number of electrodes of each kind of board: default, minimum and maximum."""
 SENSORS = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
 """Default number of measurements per second of each kind of sensor, Hz."""
-COUNTS_PER_N, ZERO_COUNTS = 50_000.0, 80_000.0  # scale and reading without force of a load cell
+COUNTS_PER_N, ZERO_COUNTS = 50_000.0, 80_000.0  # of a load cell: scale, and reading at 0 N
 _NOISE_COUNTS, _LARGEST_RAW = 60.0, 2**23 - 1
 _LONGEST_WAIT_S = 0.02
 _BEHIND_NS = 100_000_000  # after a longer delay, a sensor skips the measurements that it missed
 _BLOCK, _SIDE, _PATTERN_SIDE = 4, 64, 1024
 _PATTERN_PIXELS_S = 40
-_FIRST_HOST_S = 8.0  # a server waits for its first host for this time in addition to ``linger``
+_FIRST_HOST_S = 8.0  # the wait for the first host is longer by this time than ``linger``
 _WRITE_EVERY_NS = 50_000_000
 _FULL_WAIT_S = 0.0005  # pause between attempts to write the rest of a message
 
@@ -75,8 +75,8 @@ def emulate_board(
 ) -> None:
     """Emulate a board on a model of the skin until Ctrl-C or ``linger`` seconds without a host.
 
-    ``output`` and ``ramp_ms``, the shortest time from zero to full intensity, apply to link boards
-    only, ``firmware`` to the eTactileKit only. With ``tcp``, the port is a TCP port. The module
+    ``output`` and ``ramp_ms`` apply to link boards only, ``firmware`` to the eTactileKit only.
+    ``ramp_ms`` is the time from zero to full intensity. ``tcp`` asks for a TCP port. The module
     `skin` describes the text of an ``event``. ``books`` is an existing folder for the delivery log.
     """
     default, least, largest = BOARDS[name]
@@ -147,9 +147,9 @@ class Server:
     def serve(self, linger_s: float, instructions: str = "") -> None:
         """Print instructions or the port's name; run until SIGTERM or ``linger_s`` without a host.
 
-        With an infinite ``linger_s``, Ctrl-C ends the device. With a finite one, Ctrl-C is meant
-        for the host, which then stops the board and closes the port; Ctrl-C ends the device only
-        without a host, and SIGHUP ends it as soon as the host has closed the port.
+        With an infinite ``linger_s``, Ctrl-C ends the device. With a finite ``linger_s``, Ctrl-C is
+        meant for the host, and ends the device only if no host is connected. SIGHUP then ends the
+        device as soon as the host has closed the port.
         """
         ended, host_ns = False, _FIRST_HOST_S * 1e9
 

@@ -35,7 +35,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 _HEARTBEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest pause between packets of the host
 _STEP_NS = 20_000  # step by which simulated time advances while the host waits for an answer
 _LONGEST_GAP_NS = 1000 * (link_rules.KEPT_US + link_rules.SECOND_US)
-"""Longest simulated pause. After it the ramp is at zero and the last second has no current."""
+"""Longest simulated pause, which restarts the ramp and leaves no pulse in the last second."""
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
 """Delivered pulses: the number of the sequence, (N,), the width, (N,) µs, and the current, (N, E)
@@ -97,9 +97,9 @@ class _DirectSession(LinkSession):
 
 
 class SimulatedDriver(LinkDriver):
-    """Driver of a ``link`` board that is emulated in the same thread, on a simulated clock:
-    ``simulated:``. Firmware and packets are those of ``emulator:``. A sequence begins at its time
-    stamp or at the end of the previous sequence. `write` computes all pulses without waiting."""
+    """Driver of ``simulated:``, a ``link`` board emulated in this thread on a simulated clock. Its
+    firmware and packets are those of ``emulator:``. A sequence begins at its time stamp, or later
+    if the previous sequence ends later. `write` computes all pulses without waiting."""
 
     room: Room = Room()  # capacity of the board
     _session: _DirectSession
@@ -112,7 +112,7 @@ class SimulatedDriver(LinkDriver):
         self.port = None
         self._session = _DirectSession(self._receive)
         self._books = _PulseLog(limits.electrodes)
-        self._numbers = [0]  # number of the proved sequence that each SEQUENCE packet belongs to
+        self._numbers = [0]  # for each SEQUENCE packet, the number of its proved sequence
 
     def take_pulses(self) -> Pulses:
         """Return all pulses delivered since the last call."""
@@ -160,14 +160,14 @@ class SimulatedDriver(LinkDriver):
         """Return the simulated time at which a sequence with this time stamp begins, ns."""
         now_ns, before_ns, self._stamp_ns = self._session.now_ns(), self._stamp_ns, stamp_ns
         if not self._number or stamp_ns < before_ns:
-            # The first sequence begins now. So does a sequence after a restart of the time stamps.
+            # The first sequence begins now, and so does a sequence with an earlier time stamp.
             self._ahead_ns = stamp_ns - now_ns
         gap_ns = stamp_ns - self._ahead_ns - now_ns
         self._ahead_ns += max(0, gap_ns - _LONGEST_GAP_NS)
         return now_ns + min(max(0, gap_ns), _LONGEST_GAP_NS)
 
     def zero(self) -> None:
-        # `current` locks the line: a stop from another thread waits for the end of `write`.
+        # `current` locks the line, so a stop from another thread waits until `write` returns.
         with self._line.current():
             super().zero()
 
@@ -201,12 +201,12 @@ class MemoryDriver(Driver):
 
 _STARTS_WITHIN_S = 30.0  # time limit for the start of the process, which busy computers delay
 _ENDS_WITHIN_S = 3.0
-_FIRST_HOST_S = 5.0  # a process without a host is usable for this time; 3 s later it ends
+_FIRST_HOST_S = 5.0  # use no process that has waited longer for a host: it ends after 8 s
 _ANSWERS_WITHIN_S = 5.0  # longest silence of the board: a busy computer delays its process
 
 
 class EmulatorDriver(LinkDriver):
-    """Driver of a ``link`` board that is emulated in its own process: ``emulator:``. ``books`` is
+    """Driver of ``emulator:``, a ``link`` board that is emulated in another process. ``books`` is
     an existing folder for the delivery log. The module `skin` describes the texts of ``events``."""
 
     def __init__(
@@ -246,10 +246,10 @@ class EmulatorDriver(LinkDriver):
 
 
 class EmulatorProcess:
-    """Process that emulates the board of a URL of the module `devices` until its host has gone.
+    """Process that emulates the board of a URL of the module `devices`.
 
-    It starts immediately, because the start takes time, and ends when this object is deleted.
-    """
+    The constructor starts the process without waiting; `port` waits until it has started. The
+    process ends when its host has gone, or when this object is deleted."""
 
     def __init__(self, url: str) -> None:
         command = [sys.executable, "-m", "smarttouch.emulator", url]
@@ -270,8 +270,8 @@ class EmulatorProcess:
         return self.end.alive and not self.has_ended and bool(waits)
 
     def port(self, line: Line) -> str:
-        """Wait until the process has started, and return the name of its port. Raises if ``line``
-        is stopped during the wait."""
+        """Wait until the process has started, and return the name of its port. A stop of the board
+        ends the wait with an error; ``line`` reports the stop."""
         if self.has_ended and self._port:
             raise BoardError("the process of the emulator has ended: open the board again")
         try:

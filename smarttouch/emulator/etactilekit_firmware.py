@@ -1,17 +1,17 @@
 """Emulated firmware of the eTactileKit, with the bytes, scans and faults of the real firmware.
 
-The firmware checks nothing: a wrong byte causes a wrong current. It fixes the settings of a scan at
-its start; later commands apply to the next scan. A pulse of width 0 still lasts 6.6 µs, the time to
-switch the source on and off. The answer to READINGS has the last voltage of each electrode.
+The firmware checks nothing: a wrong byte causes a wrong current. Settings that arrive during a scan
+apply to the next scan. A pulse of width 0 still lasts 6.6 µs, the time to switch the source on and
+off. The answer to READINGS has the last voltage of each electrode.
 
 The firmware of commit 71adee2 does not parse commands during a scan. If a scan takes longer than
 its period, the next scan follows immediately, and the parser never runs again. Without a host, this
-firmware repeats its last pattern forever. The newest firmware parses commands on a second core, and
-sets all amplitudes to zero half a second after it has lost the host: on the real board when the
-host closes the USB port, in this emulator after the last byte.
+firmware repeats its last pattern forever. The newest firmware parses commands on a second core.
+Half a second after it has lost the host, it sets all amplitudes to zero. The real board loses the
+host when the host closes the USB port; this emulator counts the half second from the last byte.
 
-Two assumptions are not in the published source: outputs are grounded between pulses if the
-discharge time is above 0, else unconnected; and outputs beyond the electrode count are unconnected.
+Two assumptions are not in the published source. Between pulses, outputs are grounded if the
+discharge time is above 0, else unconnected. Outputs beyond the electrode count are unconnected.
 """
 
 import math

@@ -18,8 +18,8 @@ from smarttouch.emulator.skin import Delivered, EmulatedFinger, SkinCircuit
 STATE_FILE = "state.json"
 DELIVERED_FILE = "delivered.bin"
 SAFE_PULSE, SAFE_RECHARGE = (5000, 200, 0.5), (500, 20_000, 2.0)
-"""Largest safe current, µA, duration, µs, and charge, µC, of a pulse and of a recharge phase, which
-do not depend on the limits of the firmware."""
+"""Largest safe current, µA, duration, µs, and charge, µC: first of a pulse, then of a recharge
+phase. The limits that the firmware checks have no influence on these values."""
 RECHARGE = 0xFFFF  # slot number and site that mark a recharge phase
 _ROUNDING = 1 + 1e-6
 _FLOWS_UA = 0.5
@@ -45,11 +45,11 @@ class DeliveryLog:
     max_volts: float = 0.0  # largest voltage between the poles of a source
     recharges: int = 0  # number of recharge phases, which do not count as slots or pulses
     passed_uc: NDArray[np.float64] = field(init=False)
-    """Net charge driven through each electrode by sources, (E,), positive cathodic: pulses and
-    recharge phases, without discharge by shorting."""
+    """Net charge that sources have driven through each electrode, (E,), positive cathodic: in
+    pulses and recharge phases, but not while electrodes are shorted."""
     state: str = "shorted"
     reason: str = "start"
-    zero_after_ms: float = 0.0  # time from the host's last sign of life to the last zeroing
+    zero_after_ms: float = 0.0  # at the last stop: time since the host's last sign of life
     stood_still_ms: float = 0.0  # total time for which `DeviceClock` stood still
     _delivered: bytearray = field(default_factory=bytearray, repr=False)
 
@@ -70,8 +70,8 @@ class DeliveryLog:
     ) -> None:
         """Record one pulse of a slot. ``residual_uc``, (E,), is the charge left on each electrode
         after the discharge; ``time_us`` is the start of the pulse on the board's clock; ``more``
-        means that another pulse of the slot follows. With the slot number `RECHARGE`, record a
-        recharge phase, or the part before its interruption."""
+        means that another pulse of the slot follows. The slot number `RECHARGE` marks a recharge
+        phase, complete or cut short."""
         recharges = slot == RECHARGE
         magnitude_ua = np.abs(delivered.current_ua)
         peak_ua = float(magnitude_ua.max(initial=0))
@@ -263,9 +263,9 @@ class KitFirmware(Firmware):
     ) -> int:
         """Deliver a pulse, then ground all outputs for ``rest_us``; record the pulse in the log.
 
-        Return the reading of the A/D converter at the end of the pulse. The current, positive
-        cathodic, flows between ``electrode`` and all others of the first ``among`` outputs.
-        ``grounded`` says whether outputs were grounded before the pulse, or unconnected. ``more``
+        Return the reading of the A/D converter at the end of the pulse. The current flows between
+        ``electrode`` and all others of the first ``among`` outputs, and is positive cathodic.
+        Before the pulse, outputs were grounded, or unconnected if not ``grounded``. ``more``
         means that another pulse of the slot follows. ``slot`` defaults to the electrode.
         """
         self._finger.at(start_ns / 1e9, self._skin)

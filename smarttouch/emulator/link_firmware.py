@@ -41,7 +41,7 @@ class _PendingSequence:
     end_ns: int = 0
     done: int = 0
     volts: list[float] = field(default_factory=list)
-    recharge_ns: int | None = None  # start of the recharge phase, until it is recorded
+    recharge_ns: int | None = None  # start of a recharge phase that is not recorded yet
 
     def begin(self, start_ns: int, scan_end_ns: int) -> None:
         """Begin a pass. A pass that continues a scan ends at ``scan_end_ns`` or later."""
@@ -74,7 +74,7 @@ class LinkFirmware(Firmware):
     ) -> None:
         self._electrodes = electrodes = books.electrodes
         self._output, self.books = output, books
-        # `DeviceClock` must tolerate the checks of sequences, which grow with the electrodes.
+        # `DeviceClock` must count the time of a sequence's check, which grows with the electrodes.
         self.longest_step_ns += 10_000 * electrodes
         self._room = room = room or Room()
         self._rules = LinkRules(electrodes, output, room, ramp_ms)
@@ -128,7 +128,7 @@ class LinkFirmware(Firmware):
         return self._take_answers()
 
     def advance(self, now_ns: int) -> bytes:
-        """Execute everything that is due; stop after the host timeout; return the answer."""
+        """Execute everything that is due; return the answer. The host timeout ends the session."""
         self._pass_time(now_ns)
         return self._take_answers()
 
@@ -144,7 +144,7 @@ class LinkFirmware(Firmware):
             running = self._running
             recharge_ns = None if running is None else running.recharge_ns
             if recharge_ns is not None and recharge_ns <= self._executed_ns:
-                # The recharge phase has carried current until now; skip all other due actions.
+                # Record the recharge phase until now; skip everything else that is due.
                 self._executed_ns = now_ns
             self._end(Refusal.EMERGENCY, "emergency", now_ns)
             self._refuse(0, Refusal.EMERGENCY)
@@ -248,7 +248,7 @@ class LinkFirmware(Firmware):
         )  # fmt: skip
 
     def _recharge(self, table: _PendingSequence, until_ns: int) -> None:
-        """Execute the recharge phase, but only until ``until_ns``, which can interrupt it."""
+        """Execute the recharge phase. If ``until_ns`` is before its end, cut it short."""
         sequence, start_ns = table.sequence, table.recharge_ns
         if sequence.recharge_ua is None or start_ns is None or until_ns <= start_ns:
             return
@@ -359,7 +359,7 @@ class LinkFirmware(Firmware):
         return None
 
     def _acknowledge(self) -> None:
-        """Send an ACK with the start of the last sequence."""
+        """Send an ACK with the start time of the last sequence."""
         began = protocol.ACK.pack(self._last_start_ns // 1000)
         self._say(MessageKind.ACK, self._last[0], began)
 

@@ -47,7 +47,7 @@ class BoardSession:
         self._taken = self._said = 0
         self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // protocol.ALIVE_MS)
         """Time, ns, and number of each of the last ALIVE packets."""
-        self._hellos: dict[int, tuple[int, int]] = {}  # of each host: last number, HELLO count
+        self._hellos: dict[int, tuple[int, int]] = {}  # by host: last HELLO number, HELLO count
 
     def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the next packet of the board in the session."""
@@ -123,7 +123,7 @@ class BoardSession:
     def _refusal_of(self, message: Message, began_ns: int) -> Refusal | None:
         if message.version != VERSION or not self.number or message.session != self.number:
             return Refusal.FOREIGN
-        # A packet is late if it confirms only these ALIVE packets, sent more than LATE_MS ago.
+        # Numbers of ALIVE packets sent over LATE_MS ago. A late packet confirms no newer ALIVE.
         stale = (number for sent_ns, number in self._alive if sent_ns < began_ns - LATE_MS * _MS)
         # STOP is never late: it must work even if the host receives nothing.
         late = message.kind != MessageKind.STOP and message.heard <= max(stale, default=-1)
@@ -151,8 +151,9 @@ class ReceivedSequence:
     width_us: NDArray[np.int64]
     discharge_us: NDArray[np.int64]
     rows: NDArray[np.int64]
-    """(S, E): currents, µA, positive cathodic; 0 in slots of kernels until `LinkRules` adds them.
-    On switched boards, states: 1 cathode, −1 anode, 0 insulated, 2 invalid."""
+    """(S, E): currents, µA, positive cathodic; in slots that list kernels, the currents are 0 until
+    `LinkRules` computes them. On switched boards, the rows are states instead of currents: 1
+    cathode, −1 anode, 0 insulated, 2 invalid."""
     pairs: NDArray[np.int64]  # (P, 3): slot, kernel and amplitude, sorted by slot
 
     @property
@@ -161,7 +162,7 @@ class ReceivedSequence:
 
 
 class _Reader:
-    """Reader that takes values from the start of a payload. Raises ValueError at its end."""
+    """Reader of the values in a payload, in order. Raises ValueError if the payload is short."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self.at = data, 0
@@ -230,8 +231,8 @@ def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8
 
 
 def rounded(sums: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Round sums of weights times amplitudes, (…, E), to currents in µA that sum to zero."""
-    # Scale partial sums by 2**-17 and round them: their differences sum to zero, as the weights do.
+    """Convert sums of scaled kernels, (…, E), to whole µA, so that all currents sum to zero."""
+    # Round the partial sums: the last of them is 0, so their differences, the currents, sum to 0.
     return np.diff((np.cumsum(sums, axis=-1) + 65_536) >> 17, axis=-1, prepend=0)
 
 

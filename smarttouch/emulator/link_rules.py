@@ -1,6 +1,6 @@
-"""Rules of the ``link`` board, computed in integers: limits, loads, the last second, the session,
-the ramp, and the check of a sequence, in the order of ``firmware/PROTOCOL.md``.
+"""Rules of the ``link`` board, in the order of ``firmware/PROTOCOL.md``, computed in integers.
 
+The rules limit single sequences, the ramp, and the pulses and charges of a second and a session.
 Times are on the board's clock, in µs; charges are in pC.
 """
 
@@ -30,17 +30,18 @@ BURST_US = 40_000
 MIN_RAMP_MS, MAX_RAMP_MS = 500, 10_000
 MAX_SESSION_S, MAX_SESSION_UC = 3600, 1_800_000
 MAX_RECHARGE_UA = 500
-"""A tenth of the limit of a pulse, because the board does not know the detection thresholds."""
+"""Largest current of a recharge phase: a tenth of `MAX_CURRENT_UA`. The phase must not be felt, but
+the board does not know the detection thresholds."""
 MAX_RECHARGE_US = 20_000
 MAX_RECHARGE_PC = 2_000_000
-STRENGTH = 4  # largest ratio of strength to charge, see `SessionLimits.strength`
+STRENGTH = 4  # largest strength relative to the peak charge, see `SessionLimits.strength`
 BUCKET_US = 50_000
-BUCKETS = 20  # number of complete buckets in the window of the last second, which is 1 to 1.05 s
+BUCKETS = 20  # the last second is the current bucket and this number of earlier buckets
 SECOND_US = 1_000_000
 MOST_CHARGE_PC = 500_000_000
 MOST_NET_PC = 50_000_000
 RAMP_MS = 500  # shortest time from zero to full intensity
-CATCH_UP_US = 150_000  # time by which intensity may be ahead of the ramp, as packets may be late
+CATCH_UP_US = 150_000  # time by which a sequence may be ahead of the ramp: packets may be late
 KEPT_US = 15_000_000  # time without current after which the ramp restarts
 _LEEWAY = 2  # tolerance for the rounding of an intensity, in units of 1/65,535
 
@@ -55,7 +56,6 @@ class BrokenRule(NamedTuple):
     allowed: int = 0
 
     def nak(self, reason: Refusal = Refusal.UNSAFE) -> bytes:
-        """Return the payload of a NAK."""
         value, allowed = (min(number, 0x7FFFFFFF) for number in self[3:])
         return NAK.pack(reason, *self[:3], value, allowed)
 
@@ -74,10 +74,10 @@ def first_above(
 
 
 class Load(NamedTuple):
-    """Load of one pass of a sequence, or of several parts of a scan."""
+    """Counts, charges, peaks and durations of one pass of a sequence, or of parts of a scan."""
 
     each: NDArray[np.int64]
-    """(3, E): of each electrode the number of perceptible pulses, absolute charge, pC, and net
+    """(3, E): for each electrode, the number of perceptible pulses, absolute charge, pC, and net
     charge, pC, positive cathodic. Charges include the recharge phase."""
     peak_ua: int  # largest current of a pulse
     peak_pc: int  # largest charge of a pulse
@@ -85,7 +85,7 @@ class Load(NamedTuple):
     pulses_us: int  # duration of all pulses and the recharge phase, without discharge
 
     def after(self, before: "Load") -> "Load":
-        """Return the sum of this load and the load ``before`` it."""
+        """Add the load ``before``: sum counts, charges and durations; take the larger peaks."""
         return Load(
             before.each + self.each, max(before.peak_ua, self.peak_ua),
             max(before.peak_pc, self.peak_pc), before.busy_us + self.busy_us,
@@ -134,8 +134,8 @@ class SessionLimits:
         )  # fmt: skip
 
     def strength(self, intensity: int, peak_pc: int) -> int:
-        """Return the strength, 0 to `FULL`, of a sequence: its intensity, but at least the charge
-        ``peak_pc`` relative to that of a full pulse, and at most `STRENGTH` times this ratio."""
+        """Return a sequence's strength, 0 to `FULL`. It is the intensity, but at least the share
+        of ``peak_pc`` in the charge of a full pulse, and at most `STRENGTH` times this share."""
         share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
         return min(FULL, max(share, min(intensity, STRENGTH * share)))
 
@@ -146,10 +146,10 @@ class SessionLimits:
 
 
 class LastSecond:
-    """Loads of the last second and of the session."""
+    """Record of pulses and charges in the last second and in the session, to check limits."""
 
     def __init__(self, electrodes: int) -> None:
-        # Bucket in which each pass ended, and its load, (3, E); then the load of the executing pass
+        # `_over`: (bucket of the end, load) of each pass; `_running`: load of the executing pass
         self._over: deque[tuple[int, NDArray[np.int64]]] = deque()
         self._running: NDArray[np.int64] | None = None
         self._starts_us: deque[int] = deque()
@@ -163,8 +163,8 @@ class LastSecond:
         self.session: NDArray[np.int64] = self._none  # (3, E): sum of the loads of the session
 
     def begin(self, start_us: int, period_us: int, load: Load, goes_on: bool) -> None:
-        """Add a pass that begins at ``start_us``. A part that continues a scan (``goes_on``) adds
-        no start and no period."""
+        """Add a pass that begins at ``start_us``. If it continues a scan (``goes_on``), do
+        not count its start and period: the first part of the scan has counted them."""
         if not goes_on:
             self._starts_us.append(start_us)
             self.session_us += period_us * (load.busy_us > 0)
@@ -238,7 +238,7 @@ def _most_net(window: NDArray[np.int64], net_pc: NDArray[np.int64]) -> NDArray[n
 
 
 class Ramp:
-    """Slew limit: intensity rises only while current flows, up to the strength of the sequence.
+    """Slew limit: intensity rises only while current flows, at most to the sequence's strength.
 
     ``ramp_ms`` is the shortest time from zero to full intensity; 0 turns off the ramp in tests.
     """
@@ -248,12 +248,12 @@ class Ramp:
         self.restart(ramp_ms)
 
     def restart(self, ramp_ms: int) -> None:
-        """Restart at zero intensity, with the longer of ``ramp_ms`` and the board's own ramp."""
+        """Restart at zero intensity. The ramp lasts ``ramp_ms``, at least the board's own time."""
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
         self._level = self._strength = self._since_us = self._span_us = 0
 
     def _reached(self, now_us: int) -> tuple[int, int]:
-        """Return the intensity reached, and the time with current since the last sequence, µs."""
+        """Return the intensity reached, and for how many µs current has flowed since `note`."""
         on_us = max(0, min(now_us - self._since_us, self._span_us))
         if now_us - self._since_us - on_us > KEPT_US:
             return 0, on_us
@@ -391,14 +391,14 @@ class LinkRules:
         if switched:
             odd = (Rule.STATES, self._no_circuit(sequence.rows), 0 * kind, 0)
             total_ua = sequence.source_ua
-            # An electrode carries all current of a single source if the others lose contact.
+            # An electrode carries all current of a source if the rest of its pole loses contact.
             through_ua = np.where(each_ua > 0, total_ua[:, None], 0)
         else:
             sums_ua = sequence.rows.sum(axis=1)
             odd = (Rule.BALANCE, sums_ua != 0, sums_ua, 0)
             total_ua, through_ua = each_ua.sum(axis=1) // 2, each_ua
         charge_pc = through_ua * sequence.width_us[:, None]
-        # Of each rule: mask of violations and values, (S,) or (S, E), and allowed values
+        # For each rule: mask of violations, checked values, both (S,) or (S, E), and allowed values
         rules: list[tuple[Rule, NDArray[np.bool_], NDArray[np.int64], Any]] = [
             (Rule.KIND, (kind == STATES) != switched, kind, 0),
             (Rule.KERNEL, missing >= 0, missing, self.keep.count),
@@ -446,8 +446,8 @@ class LinkRules:
         return np.asarray(odd)
 
     def _currents(self, sequence: ReceivedSequence) -> NDArray[np.int64]:
-        """Return the currents, (S, E) µA. That of a single source is divided equally among the
-        electrodes of a pole, and rounded away from 0."""
+        """Return the currents, (S, E) µA. The current of a single source is divided equally among
+        the electrodes of a pole, and rounded away from 0."""
         rows, source_ua = sequence.rows, sequence.source_ua
         if self._output == "weighted":
             return rows
@@ -459,7 +459,7 @@ class LinkRules:
     def _recharged(
         self, sequence: ReceivedSequence, limits: SessionLimits, load: Load
     ) -> BrokenRule | None:
-        """Return the first violation by the recharge phase, or None; ``load`` is that of a pass."""
+        """Return the first violation by the recharge phase, or None. ``load`` is for one pass."""
         width_us, recharge_ua = sequence.recharge_us, sequence.recharge_ua
         if recharge_ua is None:
             return None

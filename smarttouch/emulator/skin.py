@@ -36,19 +36,19 @@ SERIES_OHM = 2.0e3
 S/m; the rest is our estimate for tissue and contact."""
 PARALLEL_OHM = 50e3
 CAPACITANCE_F = 1.0e-9
-"""Stratum corneum under a 1 mm disc on a moist fingertip (our estimate). With it, 2.4 mA for 200 µs
-need about 125 V, which electrotactile displays supply."""
+"""Resistance and capacitance of the stratum corneum under a 1 mm disc on a moist fingertip (our
+estimate). A pulse of 2.4 mA and 200 µs needs about 125 V, which electrotactile displays supply."""
 SPREAD = 0.15  # largest relative difference between electrodes of an array (our estimate)
 COMPLIANCE_V = 300.0
 _CONSTANT = (1, 1.0, 1.0)
 _SHARED = (6, 1.3, 0.6)
 _CAPPED = (24, 1.15, 1.0)
-"""Arguments of `SkinCircuit._find_steps`: number of steps of a pulse, growth ratio of their length,
-and point within a step at which the current is exact: 1 is its end. Results are within 3 % of a
-solution with fine steps."""
+"""Steps of a pulse: their number, the length of each relative to the step before, and the point
+within a step for which the current is computed, where 0 is the start and 1 the end of the step.
+Results differ by at most 3 % from results with fine steps."""
 _SHORT_STEPS, _SHORT_GROWTH = 3, 3.0
-"""Number of steps of a short circuit, and growth ratio of their length. Errors are below 1 % of the
-initial charge if electrodes differ by up to 15 %."""
+"""Steps of a short circuit: their number, and the length of each relative to the step before. If
+electrodes differ by up to 15 %, the error is below 1 % of the initial charge."""
 _LONGEST_SHORT_US = 2000.0
 _MOST_WIDTHS = 64
 
@@ -65,9 +65,10 @@ class Delivered:
 
 
 class _Steps(NamedTuple):
-    """Pulse divided into K steps of constant current I. Arrays are (K,) or (K, E); the last step
-    has length 0. A step changes the voltage v of a capacitor to v·decay + I·rise_ohm. At the point
-    at which I is exact, the electrode has the voltage v·late + I/admittance."""
+    """Pulse divided into K steps, each with a constant current I. Arrays are (K,) or (K, E). A step
+    changes the voltage v of a capacitor to v·decay + I·rise_ohm. I is computed for one point of the
+    step; at this point the electrode has the voltage v·late + I/admittance. The last step has
+    length 0, to compute I at the end of the pulse."""
 
     length_s: NDArray[np.float64]
     decay: NDArray[np.float64]
@@ -151,7 +152,7 @@ class SkinCircuit:
             nothing = np.zeros(self.electrodes)
             return Delivered(nothing, nothing, self._volts, 0.0)
         steps = self._steps_of(width_us, *_SHARED)
-        # For each step: current of an electrode per volt of its pole, and per volt of its capacitor
+        # Electrode current: `weights` per volt of its pole, −`pulls` per volt of its capacitor
         weights = steps.admittance[:, None, :] * poles
         pulls = weights * steps.late[:, None, :]
         lifts = weights * steps.rise_ohm[:, None, :]
@@ -183,13 +184,10 @@ class SkinCircuit:
 
     def short(self, duration_us: float) -> None:
         """Short all electrodes: each capacitance discharges through R_p, and through R_s to the
-        common node.
-
-        In each step, the voltage of the node is constant; its value conserves charge.
-        """
+        common node. Within a step, the node's voltage is constant and conserves charge."""
         if duration_us < 1e-6:
             return
-        # After the limit, which is many time constants, the remaining charge is negligible.
+        # `_LONGEST_SHORT_US` is many time constants: the charge then remaining is negligible.
         level, steps = self._shorts_of(min(duration_us, _LONGEST_SHORT_US))
         for lost, share in steps:
             self._volts = self._volts + lost * (level * (share @ self._volts) - self._volts)
@@ -197,16 +195,16 @@ class SkinCircuit:
     def _find_shorts(
         self, duration_us: float
     ) -> tuple[NDArray[np.float64], list[tuple[NDArray[np.float64], NDArray[np.float64]]]]:
-        """Return the final voltage of each electrode relative to that of the node. For each step,
-        return the share of the remaining difference that decays, and the weight of each electrode
-        in the voltage of the node."""
+        """Return, for each electrode, the final voltage of its capacitor relative to the node's
+        voltage. For each step, return the share of the distance to the final voltage that decays,
+        and the weights with which the capacitors' voltages give the node's voltage."""
         series = 1 / self.series_ohm
         rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
         level = series / (rate * self.capacitance_f)
         share = _SHORT_GROWTH ** np.arange(_SHORT_STEPS, dtype=np.float64)
         length = (share * (duration_us * 1e-6 / share.sum()))[:, None]
         lost = -np.expm1(-rate * length)
-        # charge into the node per volt of a capacitor, and out of it per volt of the node
+        # Charge that enters the node: `out` per volt of a capacitor, −`back` per volt of the node
         out = series * lost / rate
         back = series * length * (1 - level) + level * out
         return level, list(zip(lost, out / back.sum(axis=1, keepdims=True), strict=True))
@@ -317,7 +315,7 @@ class EmulatedFinger:
         return before[-1:] == ["emergency"]
 
     def at(self, now_s: float, skin: SkinCircuit) -> None:
-        """Apply all events that are due to the skin; ``now_s`` must not decrease between calls."""
+        """Apply all due events to the skin; ``now_s`` must not decrease between calls."""
         due = len(self._due)
         while self._due and self._due[0].time_s <= now_s:
             event = self._due.popleft()
