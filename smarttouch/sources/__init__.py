@@ -32,7 +32,7 @@ SOURCES = Registry(
         "video": "smarttouch.sources.video:open_video",
     },
 )
-_NOT_IN_URLS = ("light_on_dark", "mode", "rate_hz", "display", "vibrated")  # set by the run
+_NOT_IN_URLS = ("light_on_dark", "mode", "rate_hz", "display", "vibrated")  # options set by the run
 _SUFFIXES = {"recording": (".mcap",), "video": (".avi", ".mkv", ".mov", ".mp4", ".webm")}
 
 
@@ -69,7 +69,7 @@ def source_url(name: str) -> str:
 
 
 def options_taken(url: str) -> set[str]:
-    """Return the names of options that a source accepts in addition to those in its URL."""
+    """Return the names of the options that a source accepts and its URL does not set."""
     opener, rest = SOURCES.find(source_url(url))
     in_url = read_options(opener, rest, SourceError, but=_NOT_IN_URLS)[1]
     return inspect.signature(opener).parameters.keys() - in_url

@@ -87,7 +87,7 @@ FRESH_S = 0.35  # age up to which a reading is valid: load cells send at least t
 FROZEN_READINGS = 20
 FROZEN_S = 2.0  # equal readings for this time mean a fault: working converters are noisy
 SATURATED = (float(-(2**23)), float(2**23 - 1))
-"""Ends of the HX711's range. It returns them if it is overloaded or no load cell is connected."""
+"""Ends of the HX711's range: its readings if it is overloaded or no load cell is connected."""
 
 
 class CellWatch:
@@ -177,7 +177,7 @@ class CellWatch:
 
 FIRST_READING_S = 5.0
 """Time limit of the first reading: some boards restart for two seconds when the port opens."""
-MUTE_S = 2.0  # shortest time without a reading after which a cell counts as silent
+MUTE_S = 2.0  # shortest wait for a reading before a cell counts as silent
 RETRY_S = 0.25  # interval of attempts to reopen a lost port
 JOIN_S = 2.0  # longest wait for the end of the thread, which hangs if the port's driver hangs
 LARGEST_N = 100.0  # largest plausible force of a finger; a larger force means a wrong curve
@@ -200,14 +200,13 @@ def open_load_cell(rest: str, profile: Profile) -> ForceSource:
 
 def open_cell(url: str) -> "LoadCell":
     """Open a load cell for raw readings, which are not converted to newtons."""
-    # A constant 0 is no fault, because sketches that subtract a tare send it without contact.
+    # Sketches that subtract a tare send a constant 0 without contact, which is not a fault.
     return LoadCell(url, presses=lambda reading: reading != 0)
 
 
 class LoadCell(Closing):
-    """Load cell at ``hx711:PORT`` or ``loadcell:PORT``, optionally with ``?baud=N``, which a thread
-    reads. `CellWatch` describes ``presses``.
-    """
+    """Load cell at ``hx711:PORT`` or ``loadcell:PORT``, optionally with ``?baud=N``. A thread
+    reads the port. `CellWatch` describes ``presses``."""
 
     def __init__(self, url: str, presses: Callable[[float], bool]) -> None:
         kind, name, self._baud = _parse(url)
@@ -216,7 +215,7 @@ class LoadCell(Closing):
         self.notes: list[str] = []
         self._readings = _KINDS[kind][1]()
         self._watch = CellWatch(self.title, self.notes, presses)
-        self._news = threading.Condition()  # guards the watch and the collected readings
+        self._news = threading.Condition()  # guards `_watch`, `_any` and `_collected`
         self._any = False
         self._collected: list[float] | None = None
         self._closing = threading.Event()
@@ -241,7 +240,7 @@ class LoadCell(Closing):
         with self._news:
             self._collected = []
         self._closing.wait(seconds)
-        # Wait for the first reading for at least `MUTE_S`, because this computer can pause, too.
+        # Allow at least `MUTE_S` for the first reading, because this computer can be slow.
         patience_s = max(seconds, MUTE_S)
         with self._news:
             self._news.wait_for(lambda: bool(self._collected), patience_s - seconds)
@@ -331,7 +330,7 @@ class LoadCellForce(ForceSource):
                 self._beyond = True
                 self.notes.append(
                     f"{self.title}: force.curve gives {newtons:.3g} N, more than a finger can "
-                    "press: it belongs to another load cell, run smarttouch calibrate force"
+                    "press: the curve belongs to another load cell, run smarttouch calibrate force"
                 )
             return math.nan
         return newtons if math.isnan(newtons) else max(0.0, newtons)
@@ -348,7 +347,7 @@ class LoadCellForce(ForceSource):
 
 
 def _parse(url: str) -> tuple[str, str, int]:
-    """Return kind, port and speed of the load cell of a URL."""
+    """Return kind, port and speed from the URL of a load cell."""
     kind, _, rest = url.partition(":")
     if kind not in _KINDS:
         kinds = " or ".join(f"{known_kind}:PORT" for known_kind in _KINDS)

@@ -225,8 +225,8 @@ class LiveSource(OpticalSource):
         return shot
 
     def _await_return(self, lost_ns: int, shot: Shot | None) -> None:
-        """Update the warning about a lost device, which has returned when ``shot`` is an image.
-        Raises SourceError if it has not returned within ``replug_s``."""
+        """Update the warning about a lost device. If ``shot`` is an image, the device has returned.
+        Raises SourceError if the device does not return within ``replug_s``."""
         gone_s = (self._now_ns() - lost_ns) / 1e9
         self._warnings.put(f"lost {lost_ns}", f"{self.title} was disconnected for {gone_s:.1f} s")
         if shot is not None:

@@ -21,7 +21,7 @@ HOT_LEVELS = 24.0  # gray levels above the median dark level at which a pixel is
 LEAST_SPAN = 40.0  # smallest difference between the gray levels of white paper and darkness
 SATURATED = 254.0
 MOST_SATURATED = 0.01
-MOST_BROKEN = 0.02  # largest share of broken pixels
+MOST_BROKEN = 0.02  # largest accepted share of dead or hot pixels
 
 
 class FlatField:
@@ -143,12 +143,12 @@ def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
 MOST_PIXELS = 64
 """Longest side of the images that `Matcher` compares: more pixels add little accuracy."""
 FINER = 2
-"""Factor by which `Matcher` enlarges images if they stay within `MOST_PIXELS`: without cubic
-enlargement, 16 x 16 sensors lose 80 % of the accuracy."""
+"""Factor by which `Matcher` enlarges small images, whose sides then are at most `MOST_PIXELS`.
+Without this enlargement, sensors of 16 x 16 pixels lose 80 % of the accuracy."""
 LEAST_SLOPE = 6.0
 """Mean squared gradient, (levels/pixel)², below which a direction has no visible print: noise of 2
 levels and uneven light cause about 1.5."""
-MOST_UNEXPLAINED = 0.25  # a shift is unknown if it leaves more of the variance unexplained
+MOST_UNEXPLAINED = 0.25  # largest share of the variance that a valid shift leaves unexplained
 _STEPS = 6
 _CLOSE = 0.02  # step, in pixels, below which the iteration has converged
 _LONGEST_STEP = 4.0
@@ -223,8 +223,8 @@ class Matcher:
         return float(x), float(y)
 
     def _slopes(self, common: Common) -> tuple[Floats, Image]:
-        """Return the directions in which a shift is visible, (K, 2), and the derivatives of gray
-        levels with respect to shifts in these directions and to illumination, (K + 3, N)."""
+        """Return the directions in which a shift is visible, (K, 2), and the derivatives of
+        gray levels, (K + 3, N): by shifts in these directions, and by three kinds of light."""
         along_x, along_y = (
             np.asarray(cv2.Sobel(self._before, cv2.CV_32F, *way, ksize=3, scale=1 / 8)[common])
             for way in ((1, 0), (0, 1))
@@ -239,8 +239,8 @@ class Matcher:
         return steep, (slopes - slopes.mean(axis=1, keepdims=True)).astype(np.float32)
 
     def _rest(self, shift: Floats, common: Common) -> tuple[Image, float]:
-        """Return the difference of the images after undoing a shift, (N,) levels, with mean 0, and
-        the variance of the difference relative to that of the images."""
+        """Undo a shift. Return the difference that remains between the images, (N,) levels, with
+        mean 0, and the variance of this difference relative to the variance of the images."""
         to_now = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
         undone = cv2.warpAffine(
             self._image, to_now, self.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
@@ -253,8 +253,8 @@ class Matcher:
         return rest, float(rest @ rest) / rest.size / (contrast + _NOISE)
 
     def _begin(self) -> Shift | None:
-        """Choose the start of the iteration by correlation from the last shift, zero, and the peak
-        of the covariance. Return None if no correlation is positive."""
+        """Return the start of the iteration: of the last shift, zero and the covariance's peak, the
+        shift with the highest correlation. Return None if no correlation is positive."""
         far = _largest_covariance(self._before, self._image)
         best = max((self._correlation(by), by) for by in {far, self._last_shift, (0.0, 0.0)})
         return best[1] if best[0] > 0 else None
@@ -318,9 +318,9 @@ def page_per_pixel(optics: Optics, shape: tuple[int, int]) -> NDArray[np.float64
 
 
 class FramePreprocessor:
-    """Flat-field correction of successive images, with the pose as the sum of their motions.
+    """Flat-field correction of successive images, and the sensor's pose, the sum of its motions.
 
-    A motion that cannot be measured counts as zero: on blank paper, along a straight edge that
+    A motion counts as zero if it cannot be measured: on blank paper, along a straight edge that
     fills the image, or if two images overlap too little.
     """
 

@@ -156,8 +156,8 @@ def gap(before: int, number: int) -> int:
 class MessageStream:
     """Parser of messages in a stream that may start within a message.
 
-    ``broken`` is the number of malformed packets, except the first packet, whose start can be
-    missing. Packets of unknown kinds are ignored.
+    ``broken`` is the number of malformed packets. It does not count the first packet, whose start
+    can be missing. Packets of unknown kinds are ignored.
     """
 
     def __init__(self) -> None:
@@ -264,7 +264,7 @@ class TextReadings:
         return readings
 
     def _read(self, line: bytes) -> list[float]:
-        """Return the reading of a line in a list, which is empty without a trustworthy reading."""
+        """Return a list with the reading of a line; it is empty if the reading is not reliable."""
         line = line.strip()
         if not line or (line.endswith(b":") and _TEXT.fullmatch(line)):
             return []
@@ -337,7 +337,7 @@ class SerialArrayDevice(ImageDevice):
         self._warnings = DeviceWarnings(self.notes)
 
     def open(self) -> None:
-        """Open the port. The first `grab` discards the bytes that arrived before."""
+        """Open the port. The first `grab` discards the bytes that have arrived until then."""
         self._port = open_port(self._name, self._baud, _WAIT_S, SourceError)
         self._listening_since_ns = None
 

@@ -48,7 +48,7 @@ Input = Frame | Stimulus  # a run reads one input from its source for each seque
 
 
 class Device(Closing):
-    """Base class of sources and of sources of force, with notes for the user.
+    """Base class of `Source` and `ForceSource`, with notes for the user.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class DeviceWarnings:
 class Sheet:
     """Page or line under the finger, with its position in the coordinates of `Pose`.
 
-    ``number`` changes with the page or line; ``corner_mm`` is its top left corner.
+    ``number`` changes with the page or line; ``corner_mm`` is the sheet's top left corner.
     """
 
     number: int
@@ -129,7 +129,7 @@ class Source(Device, ABC):
     """Whether the force in inputs is measured on a finger during the run. Any other force is used
     only on boards that no finger can touch."""
     frames: int = 0
-    """Number of different frames or stimuli until now, read or dropped."""
+    """Number of different frames or stimuli so far, including dropped ones."""
     dropped_frames: int = 0
     """Number of frames or stimuli that were never read."""
     pointer: Pointer | None = None
@@ -170,7 +170,7 @@ class Source(Device, ABC):
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """Functions of keys of the keyboard, by key; any thread may call them."""
+        """Functions to call when a key is pressed, by key; any thread may call them."""
         return {}
 
     @abstractmethod
@@ -187,7 +187,7 @@ class OpticalSource(Source):
 
 
 class StimulusSource(Source):
-    """Base class of sources of stimuli, which also choose the classes to stimulate."""
+    """Base class of sources of stimuli. The source, not the user, chooses the afferent classes."""
 
     fixed_mode = True
 
@@ -218,7 +218,7 @@ def gray_image(image: Any, who: object) -> NDArray[np.uint8]:
     """Convert a bool, gray, RGB or RGBA image to gray levels, (H, W) uint8, 0 is black.
 
     Transparent images get a background on which they are visible. Raises SourceError for images of
-    other types and shapes, because their value of white is unknown.
+    other types and shapes, because it is unknown which of their values is white.
     """
     if not (
         isinstance(image, np.ndarray)
@@ -234,8 +234,8 @@ def gray_image(image: Any, who: object) -> NDArray[np.uint8]:
 
 
 def checked_activation(activation: Any, who: object, electrodes: int) -> NDArray[np.float32]:
-    """Return an activation as (3, E) float32. Raises SourceError if its shape is another or numbers
-    are outside of [0, 1]."""
+    """Return an activation as (3, E) float32. Raises SourceError if the shape differs, or if a
+    number is outside of [0, 1]."""
     shape = len(Afferent), electrodes
     if (
         not isinstance(activation, np.ndarray)
@@ -259,7 +259,7 @@ Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]  # accepted by `
 
 
 class Images(OpticalSource):
-    """Source of images from Python, one for each sequence, with the force of full intensity."""
+    """Source of images from Python, one for each read. The force gives full intensity."""
 
     frames: int
     knows_force = True
@@ -292,8 +292,8 @@ _OF_THE_SOURCE = (
 
 
 class OwnImaging(StimulusSource):
-    """Source of stimuli that a user's function computes from frames. Stimuli keep the image of the
-    frame, so that recordings contain both."""
+    """Source of stimuli that a user's function computes from frames. A stimulus keeps the image
+    of its frame, so that recordings contain the image."""
 
     def __init__(self, source: Source, imaging: Imaging, profile: Profile) -> None:
         super().__init__(source.title)

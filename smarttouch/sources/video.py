@@ -33,7 +33,7 @@ SUFFIXES = (
 _FEWEST_PIXELS = 2
 _MOST_PIXELS = 80_000_000
 MOST_DECODED = 8  # a source that is this number of images late skips images without decoding
-_MISSING = 0.05  # accepted share of missing frames: containers state an estimate of their number
+_MISSING = 0.05  # accepted share of missing frames, because a container only estimates their number
 _TEXT = cv2.VideoWriter.fourcc(*"ansi")
 # Suppress messages of FFmpeg, which reads this variable when the process opens its first video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -205,10 +205,11 @@ def open_frames(
 
 
 class ClipSource(OpticalSource):
-    """Source of the image of a clip that is due, or of the next one with ``unpaced``.
+    """Source that plays a clip. With ``unpaced``, each read returns the clip's next image.
 
-    Skipped images count as dropped. They are still decoded to measure the motion, unless reads come
-    too late by `MOST_DECODED` images."""
+    Otherwise, a read returns the image that is due, and skips earlier images. They count as
+    dropped. They are decoded to measure the motion, unless the read is `MOST_DECODED` images late.
+    """
 
     ended = "end of the clip"
     duration_s: float | None

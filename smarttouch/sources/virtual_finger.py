@@ -97,7 +97,7 @@ def _printed(page: Page, light_on_dark: bool) -> TextLine:
 
 def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
     """Divide a line that is taller than the sensor's field into parallel strips."""
-    # Tolerate lines, for example with ascenders, that exceed the field by up to 15 %.
+    # A line may be up to 15 % taller than the field, for example with its ascenders.
     count = max(1, math.ceil(line.height_mm / height_mm - 0.15))
     step = line.height_mm / count
     return [
@@ -113,7 +113,7 @@ def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
 
 def _middle_path(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Return x, y and angle of a finger along the middle of a line, and the distance covered."""
-    # Begin on the first letters: intensity rises only while pulses are delivered.
+    # Begin on the first letters: blank paper causes no pulses, so the ramp cannot rise on it.
     start, end = line.left_mm, line.right_mm + field_mm / 2
     x = np.linspace(start, end, max(2, math.ceil((end - start) / _STEP_MM)))
     y = line.baseline_mm(x) + (line.descent_mm - line.ascent_mm) / 2
@@ -132,10 +132,10 @@ MOST_PASSES = 10_000
 _SHADE = 0.1  # relative loss of light at the corners (vignetting)
 _SLOPE = 0.03
 _PRINT_MM, _USUAL_PRINT_MM = (1.5, 9.0), 3.7
-"""Plausible heights of lines, ascender to descender; and the height of 11 points, to which a page
-of assumed size is scaled if its lines have another height."""
+"""Plausible heights of lines, ascender to descender; and the height of 11-point lines. If the size
+of a page is assumed and its lines have an implausible height, the page is scaled to 11 points."""
 _CHOSEN_DPI = (97.0, 700.0)
-"""Range of resolutions that images state on purpose; others are mostly defaults of programs."""
+"""Range of stated resolutions to trust. Others are mostly defaults of programs."""
 _MARGIN_MM = 4.0
 _MOST_PIXELS = 60_000_000
 
@@ -168,7 +168,7 @@ def open_page(
     corners = None if path is not None or light_on_dark else find_sheet(page.grey)
     if corners is not None:
         flat = flattened(page.grey, corners)
-        # A stated or assumed width is that of the sheet, not that of the photograph.
+        # If the width is stated or assumed, it is the width of the sheet, not of the photograph.
         of_sheet = page_width_mm is not None or assumed
         page = Page(flat, page.size_mm[0] / flat.shape[1] if of_sheet else page.mm_per_pixel)
         notices.append(LAID_FLAT)
@@ -193,7 +193,7 @@ def load_or_guess(
     note: Callable[[str], None],
     password_file: str | None = None,
 ) -> tuple[Page, str]:
-    """Load the first page of a file. Return a warning, too, if its scale is guessed or doubtful.
+    """Return the first page of a file, and a warning if its scale is guessed or doubtful.
 
     A text file is drawn as a printed page; ``note`` is called with warnings about omitted parts.
     """
