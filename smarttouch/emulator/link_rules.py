@@ -248,12 +248,12 @@ class Ramp:
         self.restart(ramp_ms)
 
     def restart(self, ramp_ms: int) -> None:
-        """Restart at zero intensity. The ramp lasts ``ramp_ms``, at least the board's own time."""
+        """Restart at zero intensity. The ramp lasts ``ramp_ms``, but at least the board's own time."""
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
         self._level = self._strength = self._since_us = self._span_us = 0
 
     def _reached(self, now_us: int) -> tuple[int, int]:
-        """Return the intensity reached, and for how many µs current has flowed since `note`."""
+        """Return the intensity reached, and the µs with current since the last call of `note`."""
         on_us = max(0, min(now_us - self._since_us, self._span_us))
         if now_us - self._since_us - on_us > KEPT_US:
             return 0, on_us
