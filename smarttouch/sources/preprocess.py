@@ -223,8 +223,8 @@ class Matcher:
         return float(x), float(y)
 
     def _slopes(self, common: Common) -> tuple[Floats, Image]:
-        """Return the directions in which a shift is visible, (K, 2), and the derivatives of
-        gray levels, (K + 3, N): by shifts in these directions, and by three kinds of light."""
+        """Return the K directions in which a shift is visible, (K, 2), and the derivatives of gray
+        levels with respect to K shifts and 3 patterns of illumination, (K + 3, N)."""
         along_x, along_y = (
             np.asarray(cv2.Sobel(self._before, cv2.CV_32F, *way, ksize=3, scale=1 / 8)[common])
             for way in ((1, 0), (0, 1))

@@ -207,9 +207,8 @@ def open_frames(
 class ClipSource(OpticalSource):
     """Source that plays a clip. With ``unpaced``, each read returns the clip's next image.
 
-    Otherwise, a read returns the image that is due, and skips earlier images. They count as
-    dropped. They are decoded to measure the motion, unless the read is `MOST_DECODED` images late.
-    """
+    Otherwise, a read returns the image that is due. Skipped images count as dropped, but are
+    decoded to measure the motion, unless the read is `MOST_DECODED` or more images late."""
 
     ended = "end of the clip"
     duration_s: float | None
