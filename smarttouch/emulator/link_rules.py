@@ -248,7 +248,7 @@ class Ramp:
         self.restart(ramp_ms)
 
     def restart(self, ramp_ms: int) -> None:
-        """Restart at zero intensity. The ramp lasts ``ramp_ms``, but at least the board's own time."""
+        """Restart at zero intensity. The ramp time is the longer of ``ramp_ms`` and `_own_ms`."""
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
         self._level = self._strength = self._since_us = self._span_us = 0
 
