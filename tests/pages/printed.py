@@ -1,4 +1,4 @@
-"""Pages printed for tests, with the truth of where each line is, and then mistreated."""
+"""Test pages with known lines and baselines, and simulated scans and photographs of them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ INCH_MM = 25.4
 MARGIN_MM = 15.0
 GUTTER_MM = 8.0
 LEADING = 1.25
-"""Line step, of the size of the letters."""
+"""Distance of baselines, relative to the font size."""
 PAPER, INK = 235, 25
 TABLE = 50
-"""Grey level of what a photographed sheet lies on."""
+"""Grey level of the table under a photographed sheet."""
 
 _PROSE = """
 the quick brown fox jumps over a lazy dog while pale light falls on every page that hands have
@@ -31,7 +31,7 @@ WORDS = _PROSE.split()
 
 @dataclass(frozen=True, eq=False)
 class PrintedLine:
-    """A line as it was printed; its baseline is (N, 2) points from first letter to last."""
+    """Text of a printed line, and its baseline: (N, 2) points from the first letter to the last."""
 
     text: str
     baseline_mm: np.ndarray
@@ -40,7 +40,7 @@ class PrintedLine:
 
 @dataclass(frozen=True, eq=False)
 class Printed:
-    """A page, and its lines in the order in which they are to be read."""
+    """A page image and its printed lines in reading order."""
 
     page: Page
     lines: tuple[PrintedLine, ...]
@@ -55,7 +55,7 @@ def print_page(
     columns: int = 1,
     heading: str | None = None,
 ) -> Printed:
-    """Print lines of text, under a heading of 1.8 times the size, in one or more columns."""
+    """Draw lines of text in columns, below an optional heading of 1.8 times the font size."""
     per_mm = dpi / INCH_MM
     letters = _font(font, size_pt * dpi / 72)
     large = _font(font, 1.8 * size_pt * dpi / 72)
@@ -91,7 +91,7 @@ def print_page(
 
 
 def some_lines(count: int, width: int = 60, seed: int = 0) -> list[str]:
-    """Return lines of words of at most ``width`` letters; each paragraph ends in a short one."""
+    """Return lines of random words, up to ``width`` characters; every seventh line is short."""
     random = np.random.default_rng(seed)
     lines = []
     for index in range(count):
@@ -116,13 +116,13 @@ def degrade(
     jpeg: int | None = None,
     seed: int = 0,
 ) -> Printed:
-    """Return a page as a bad scan or a photograph shows it, with the truth moved along.
+    """Simulate a bad scan or a photograph of a page; its true baselines move with the image.
 
-    It is turned clockwise; ``uneven`` is the part of the light that the darkest corner and a
-    shadow lack, ``noise`` a standard deviation in grey levels, ``perspective`` how much narrower
-    the far edge of the sheet is, which then lies on a dark table, ``curvature`` how far, in mm,
-    lines of an open book bend at the bottom of the page, a third of it at the top, and ``jpeg``
-    the quality of compression.
+    ``skew_deg`` rotates clockwise. ``uneven``, 0 to 1, scales a slope of brightness, dark corners
+    and a shadow. ``noise`` is a standard deviation in grey levels. ``perspective`` lays the sheet
+    on a dark table; it is the fraction by which the far edge is narrower. ``curvature`` is the
+    largest bend of lines, in mm, as in an open book: at the bottom of the page in full, at the top
+    by a third. ``jpeg`` is the quality of compression.
     """
     grey = printed.page.grey
     if inverted:
@@ -161,12 +161,12 @@ def degrade(
 
 PAPERS = ("white", "grey", "gradient", "grain", "lined", "squared", "stained", "table", "shadow",
           "show-through")  # fmt: skip
-"""Kinds of paper without print."""
+"""Names of the unprinted sheets of `blank_papers`."""
 
 
 @cache
 def blank_papers():
-    """Return paper without print of each of `PAPERS`."""
+    """Return a grey image of an unprinted sheet for each name in `PAPERS`."""
     random = np.random.default_rng(5)
     y, x = np.mgrid[:600, :800].astype(np.float32)
     white = np.full((600, 800), 250, np.float32)
@@ -194,7 +194,7 @@ def _font(name: str, size_px: float) -> ImageFont.FreeTypeFont:
 
 
 def _bent(grey, most_px, paper):
-    """Bend the rows as the page of an open book, bound on its left."""
+    """Bend an image like a page of a book bound at its left; also return a function for points."""
     height, width = grey.shape
 
     def fall(x):
@@ -239,7 +239,7 @@ def _carried(matrix, points):
 
 
 def _light(shape, uneven):
-    """A slope, dark corners, and the soft edge of a shadow."""
+    """Return the relative brightness of each pixel: a slope, dark corners, a soft-edged shadow."""
     y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in shape), indexing="ij")
     slope = 1 - uneven * 0.4 * (x + 1) / 2
     corners = 1 - uneven * 0.15 * (x * x + y * y)

@@ -1,4 +1,4 @@
-"""Documents of every kind give their pages; every bad one gets one sentence."""
+"""Pages of PDF, TIFF and image files, their scale, and messages about bad files."""
 
 import base64
 import io
@@ -23,7 +23,7 @@ from ..support.checks import assert_says, numbers_in, raises
 
 
 def sheets(count, size=(300, 400), kind="L"):
-    """Return pages that differ: page n has n black squares."""
+    """Return page images; page n has n black squares."""
     made = []
     for number in range(1, count + 1):
         sheet = Image.new(kind, size, 255 if kind in "L1" else (255, 255, 255))
@@ -35,7 +35,7 @@ def sheets(count, size=(300, 400), kind="L"):
 
 
 def squares(page):
-    """Return how many black squares a page has."""
+    """Return the number of black squares on a page."""
     rows = int(page.grey.shape[0] * 30 / 400)
     return np.count_nonzero(np.diff((page.grey[rows] < 128).astype(int)) == 1)
 
@@ -46,7 +46,7 @@ def save(path, made, **options):
 
 
 def pdf_file(objects, trailer=b""):
-    """Return a PDF of these objects, the first of which is its catalog."""
+    """Return the bytes of a PDF with these objects; the first object is the catalog."""
     out, places = bytearray(b"%PDF-1.4\n"), []
     for number, body in enumerate(objects, 1):
         places.append(len(out))
@@ -77,7 +77,7 @@ def one_page(content=b"", size=(144, 288), page=b"", catalog=b"", more=(), trail
 
 @pytest.fixture
 def put(tmp_path):
-    """Return a writer of a file, to its path."""
+    """Return a function that writes content to a file and returns the path."""
 
     def write(content, name="page.pdf"):
         (tmp_path / name).write_bytes(content)
@@ -101,17 +101,17 @@ LOCKED = (
     "Owv7(2bKjuRjH%=(=r(Wlvi?ZCrPAors*G7blxydWM4l1PKaq&|ttq1rCM@KrH`HTn*j#$#!Y#9fiymi_^2^AEgev="
     "l"
 )
-"""A page whose lower half is black, under 40 bit RC4 with the password tulip, packed in base 85."""
+"""A PDF page with a black lower half: 40-bit RC4, password tulip; zlib-compressed, in base 85."""
 
 
 @pytest.mark.parametrize(("suffix", "kind"), [("pdf", "L"), ("tif", "L"), ("tif", "1")])
 def test_a_file_of_three_pages(tmp_path, suffix, kind):
     options = {"resolution": 100} if suffix == "pdf" else {"dpi": (100, 100)}
     path = save(tmp_path / f"three.{suffix}", sheets(3, kind=kind), **options)
-    # Its content counts, not its name.
+    # The kind of a file is detected by its content, not by its name.
     with Document(path.rename(tmp_path / "three.jpg")) as document:
         assert len(document) == 3
-        # In any order, and again.
+        # Pages can be opened in any order, and more than once.
         assert [squares(document.page(index)) for index in (2, 0, 1, 2)] == [3, 1, 2, 3]
         assert document.page(0).size_mm == pytest.approx((76.2, 101.6))
         assert document.notes == []
@@ -174,7 +174,7 @@ def test_pages_that_cannot_be(put, content, dpi, attributes):
 
 
 def outcome(path, **options):
-    """Return how many pages a file gives, or the error that says why none."""
+    """Return the number of pages of a file, or the error if a page cannot be opened."""
     try:
         with Document(path, **options) as document:
             return len([document.page(index) for index in range(len(document))])
@@ -184,15 +184,15 @@ def outcome(path, **options):
 
 @pytest.mark.parametrize("suffix", ["pdf", "tif"])
 @given(data=st.binary(min_size=1, max_size=20), at=st.floats(0, 1))
-@example(data=bytes(20), at=0.1)  # pages without a type, which PDFium 6462 opens
-@example(data=bytes(13), at=0.34375)  # a page without a description
+@example(data=bytes(20), at=0.1)  # a former failure: PDFium 6462 opens pages without a type
+@example(data=bytes(13), at=0.34375)  # a former failure: a page with a damaged dictionary
 def test_no_bytes_crash_the_opener(tmp_path_factory, suffix, data, at):
     folder = tmp_path_factory.mktemp("fuzz")
     made = sheets(2, (16, 12))
     whole = save(folder / f"whole.{suffix}", made, dpi=(99, 99), resolution=99).read_bytes()
     path = folder / f"page.{suffix}"
     place = int(at * len(whole))
-    # Some are cut off.
+    # If the length of the data is a multiple of 4, the file ends after the data.
     end = len(whole) if len(data) % 4 else place
     path.write_bytes(whole[:place] + data + whole[place + len(data) : end])
     result = outcome(path, page_width_mm=100)
@@ -300,9 +300,9 @@ def png_header(side):
 
 
 @pytest.mark.parametrize(("side", "attributes"), [
-    # Of these nothing comes; Pillow has its own mind of an image without pixels, by version.
+    # An image with side 0, and one without data: the error depends on the version of Pillow.
     (0, {}), (100, {}),
-    # So large that Pillow does not even tell how large.
+    # Pillow rejects this large image but does not report its size, so the error has no value.
     (60_000, {"names": "pixels", "allowed": 10**8}),
     (12_000, {"names": "pixels", "value": (12_000, 12_000), "allowed": 10**8}),
     (1, {"names": "pixels", "value": (1, 1), "allowed": (8, 8)}),

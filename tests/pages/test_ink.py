@@ -1,4 +1,4 @@
-"""Ink is separated from paper in any light, and blank paper has none."""
+"""Separation of ink from paper: in uneven light, noise and shadows, and on blank paper."""
 
 import cv2
 import numpy as np
@@ -18,7 +18,7 @@ def printed():
 
 
 def overlap(found, truth):
-    """Return the F measure of ink."""
+    """Return the F1 score of detected ink pixels."""
     return 2 * (found & truth).sum() / (found.sum() + truth.sum())
 
 
@@ -34,7 +34,7 @@ def test_the_same_ink_is_found_in_any_light(printed, case):
     paper = separate_ink(degrade(printed, **MISTREATED[case]).page.grey)
     assert overlap(paper.ink, truth) > 0.96
     assert paper.light_on_dark == (case == "inverted")
-    # Paper becomes white, ink black, and edges keep their grades.
+    # In the cleaned image paper is white and ink is black; edges of letters keep their grey levels.
     assert np.mean(paper.cleaned[printed.page.grey == 235] == 255) > 0.94
     assert np.median(paper.cleaned[printed.page.grey < 40]) < 40
     graded = (printed.page.grey > 60) & (printed.page.grey < 200)
@@ -75,7 +75,7 @@ def test_a_page_of_faint_print_is_found(printed, contrast):
 
 @pytest.mark.parametrize("light_on_dark", [None, False, True])
 def test_at_least_38_of_40_blank_sheets_are_silent(light_on_dark):
-    # A sheet that is several times darker at one side may show a false edge there.
+    # A false edge can appear on a sheet with one much darker side, so 2 of 40 sheets may fail.
     random, silent = np.random.default_rng(0), 0
     for level in (3, *range(70, 256, 5), 255):
         light = 1 - random.uniform(0, 0.6) * np.linspace(0, 1, 90)

@@ -1,4 +1,4 @@
-"""The text that a PDF brings is read as it is seen: whole words, columns, tables, visible print."""
+"""Reading of the text layer of PDF files: words, columns, tables, forms and hidden text."""
 
 import pytest
 
@@ -23,18 +23,18 @@ PROSE = [
 LEFT, RIGHT = PROSE[:3], PROSE[3:6]
 WIDTHS = {"i": 2.22, "t": 2.78, "f": 2.78, "r": 3.33, "m": 8.33, "w": 7.22,
           **dict.fromkeys("cksxy", 5.0)}  # fmt: skip
-"""Widths of letters of Helvetica, 10 points; others are 5.56 wide."""
+"""Letter widths of Helvetica at 10 points, in points; letters not listed here are 5.56 wide."""
 
 
 def put(x, y, text, size=10, font="F", turn=(1, 0, 0, 1), more=""):
-    """Return the operators that show a text at a place in points from the bottom left."""
+    """Return the PDF operators that draw text at (x, y), in points from the bottom left."""
     code = text.encode("latin-1").replace(b"(", b"\\(").replace(b")", b"\\)")
     place = " ".join(map(str, (*turn, x, y)))
     return f"BT /{font} {size} Tf {place} Tm {more} (".encode() + code + b") Tj ET\n"
 
 
 def marked(x, y, *parts):
-    """Return the operators of a line whose every second part is raised or, after _, lowered."""
+    """Return PDF operators of a line; every second part is raised, or lowered if it has a _."""
     shown = b"BT %d %d Td " % (x, y)
     for k, part in enumerate(parts):
         rise = 4 - 6 * (part[0] == "_") if k % 2 else 0
@@ -43,7 +43,7 @@ def marked(x, y, *parts):
 
 
 def apart(x, y, text, gap=5):
-    """Return a line whose letters are placed one by one."""
+    """Return PDF operators that place each letter of a line separately, ``gap`` points apart."""
     wide = dict(zip("THEOLDMI ", (6.1, 7.2, 6.7, 7.8, 5.6, 7.2, 8.3, 2.8, 2.8), strict=True))
     shown = b""
     for sign in text:
@@ -53,7 +53,7 @@ def apart(x, y, text, gap=5):
 
 
 def pdf(path, *content, size=(440, 300), page=b"", objects=b"", **more):
-    """Write a PDF of one page; return its path."""
+    """Write a PDF of one page and return its path."""
     shown = b"".join(each if isinstance(each, bytes) else put(*each) for each in content)
     path.write_bytes(one_page(shown, size, RESOURCES % objects + page, **more))
     return path
@@ -65,7 +65,7 @@ def load(path, **options):
 
 
 def columns(texts, step=14, x=(40, 165, 290), by_rows=False):
-    """Yield columns of three lines, written column by column or row by row."""
+    """Yield (x, y, text) of lines in columns of three, sorted by columns or by rows."""
     places = [(x[k // 3], 250 - step * (k % 3), text) for k, text in enumerate(texts)]
     yield from sorted(places, key=lambda place: -place[1]) if by_rows else places
 
@@ -101,7 +101,7 @@ ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; Gas; 
      ["Bring with you:", "• a pencil", "• a cup of tea"]),
     (columns(PROSE), PROSE),
     (columns(PROSE, by_rows=True), PROSE),
-    # Only columns that the file finishes before it goes on have no common lines.
+    # The columns share no baselines. The file contains the left column before the right one.
     ([*columns(LEFT), *((165, y - 6, text) for _, y, text in columns(RIGHT))], [*LEFT, *RIGHT]),
     ([*columns(PROSE[:6]), (40, 208, "E = mc"), (140, 208, "(1)"), (40, 194, "is the rule.")],
      [*LEFT, "E = mc", "(1)", "is the rule.", *RIGHT]),
@@ -109,7 +109,7 @@ ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; Gas; 
      ["apple, 7", "bread, 12", "door, 3", "mill, 9", "oven, 4", "pear, 31"]),
     ([(40, 240, "What was paid for the house this year"), *table(*GRID)],
      ["What was paid for the house this year", *ROWS]),
-    # A table in the left one of two columns.
+    # The left one of two columns contains a table.
     ([*columns(PROSE[:6], x=(40, 220)), *table(*GRID, x=(40, 85, 135)), (220, 208, "So it ends.")],
      [*LEFT, *ROWS, *RIGHT, "So it ends."]),
     ([*table(("Date", "Item", "Sum"), ("1 May", "Rent of", "500"), ("", "the mill", ""), step=12),
@@ -162,7 +162,7 @@ def test_lines_lie_on_their_print(tmp_path, page):
     is_turned = b"Rotate 90/" in page
     turn = (0, 1, -1, 0) if is_turned else (1, 0, 0, 1)
     step = (14, 0) if is_turned else (0, -14)
-    # Fewer words on their side are a stamp.
+    # Up to 100 rotated characters are taken for a stamp, so the rotated page needs more text.
     lines = PROSE if page == b"/Rotate 90" else LEFT
     content = [put(60 + step[0] * k, 250 - 10 * abs(step[0]) + step[1] * k, text, turn=turn)
                for k, text in enumerate(lines)]  # fmt: skip
@@ -207,7 +207,7 @@ def test_what_is_filled_into_a_form_is_read_beside_its_label(tmp_path):
 
 
 def picture(lines):
-    """Return a picture of printed lines as an object of a PDF, and how it is shown in strips."""
+    """Return the size, PDF operators and PDF objects of a picture of lines, cut into two strips."""
     grey = print_page(lines, size_pt=10, dpi=150).page.grey
     height, width = grey.shape
     half = height // 2

@@ -1,4 +1,4 @@
-"""Pages are prepared: printed texts have their lines, and strips are level, without neighbors."""
+"""Prepared pages: lines where their ink is, and level strips without letters of other lines."""
 
 import cv2
 import numpy as np
@@ -27,7 +27,7 @@ def straight(printed):
 
 
 def likeness(strip, other):
-    """Return the correlation of two strips, the one shifted and stretched a little."""
+    """Return the best correlation of two strips over small shifts and changes of their width."""
     best = 0.0
     for width in np.linspace(0.97, 1.03, 13) * other.shape[1]:
         one = cv2.resize(strip, (round(width), HEIGHT), interpolation=cv2.INTER_AREA)
@@ -91,7 +91,7 @@ def test_letters_of_the_next_line_are_left_out_and_own_ones_kept():
 
 
 def test_ink_beside_what_is_left_out_stays():
-    """A descender from the line above comes within a pixel of a letter of this line."""
+    """A letter stays complete although a descender of the line above is only one pixel away."""
     page = np.full((200, 200), 255, np.uint8)
     page[85:115, 50:60] = 0
     page[20:90, 61:66] = 0

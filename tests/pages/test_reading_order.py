@@ -1,4 +1,4 @@
-"""Columns are read one after another, headings before them, tables by rows."""
+"""Reading order of pages: headings first, columns one after another, tables row by row."""
 
 import shutil
 
@@ -18,7 +18,7 @@ WIDER = 4
 
 
 def order(*lines, leftward=False):
-    """Order lines of a picture, of (sides, y) and 8 high, and return their indices and cells."""
+    """Return the order of lines ((left, right), y), and their cell numbers (0 outside tables)."""
     words = [
         Segment("", WIDER * left, WIDER * right, y, 8.0, -1 - k)
         for k, ((left, right), y) in enumerate(lines)
@@ -35,7 +35,7 @@ def order(*lines, leftward=False):
 
 
 def columns(*tops, count=4):
-    """Return columns of lines, each of (sides, top)."""
+    """Return the lines ((left, right), y) of columns; each column is ((left, right), top)."""
     return [(side, top + 10 * row) for side, top in tops for row in range(count)]
 
 

@@ -1,4 +1,4 @@
-"""Lines of scripts that are not Latin are found, and what is felt of them is whole."""
+"""Detection of complete text lines in scripts other than Latin."""
 
 from pathlib import Path
 
@@ -22,16 +22,16 @@ SCRIPTS = {
     "Devanagari": (FREE, "मनुष्य कागज पर हाथ रखता है और जानता है कि वह चिकना है"),
     "Japanese": (GOTHIC, "指 で 紙 に 触 れ る と 滑 ら か か 粗 い か が す ぐ に 分 か る"),
 }
-"""Font, and words that are shuffled for each line."""
+"""Font and words of each script; the test shuffles the words for each line."""
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
 def test_lines_of_a_script_are_found_and_whole(script):
     path, text = SCRIPTS[script]
     if not path.exists():
-        pytest.skip(f"no font for {script}: {path}")
+        pytest.skip(f"the font for {script} is not installed: {path}")
     if script in ("Arabic", "Devanagari") and not features.check("raqm"):
-        pytest.skip("Pillow has no raqm, which joins letters")
+        pytest.skip(f"{script} needs Pillow with the library raqm, which joins letters")
     font = ImageFont.truetype(str(path), 12 * DPI / 72)
     random, words = np.random.default_rng(1), text.split()
     space = "" if script == "Japanese" else " "
@@ -47,7 +47,7 @@ def test_lines_of_a_script_are_found_and_whole(script):
     ends = np.array(boxes)[:, [0, 2]] / DPI * 25.4
     lines = np.array([(line.left_mm, line.right_mm) for line in prepared.lines])
     is_whole = (lines[:, 0] < ends[:, 0] + 3) & (lines[:, 1] > ends[:, 1] - 3)
-    # Signs of many parts may part a line.
+    # One Japanese line may be incomplete: gaps within characters can split a line.
     assert is_whole.sum() >= (6 if script == "Japanese" else 7)
     for line, box in zip(prepared.lines, boxes, strict=True):
         _, top, _, bottom = (edge / DPI * 25.4 for edge in box)

@@ -1,4 +1,4 @@
-"""Skewed, turned and photographed pages become straight; straight ones stay as they are."""
+"""Straightening of skewed and photographed pages; straight pages stay unchanged."""
 
 import cv2
 import numpy as np
@@ -72,7 +72,7 @@ def test_a_sheet_on_a_table_is_laid_flat(printed, perspective, light):
     prepared = prepare_page(photo.page)
     page, notes = prepared.page, prepared.notes
     assert find_sheet(photo.page.grey) is not None
-    # Of a tilt the note would have its degrees.
+    # A note about skew would contain the angle, so the first note is about the sheet.
     assert numbers_in(notes[0]) == []
     assert_level(page)
     width, height = printed.page.size_mm
@@ -82,7 +82,7 @@ def test_a_sheet_on_a_table_is_laid_flat(printed, perspective, light):
 @pytest.mark.parametrize("left", [0.3, 0.45, 0.7])
 @pytest.mark.parametrize("turned", [0, 2])
 def test_a_sheet_half_in_the_shadow_is_found_whole(printed, left, turned):
-    """The table in the light may be as bright as the sheet in the shadow."""
+    """The sheet is found even if the lit table is as bright as the shaded part of the sheet."""
     grey = degrade(printed, perspective=0.15, skew_deg=6).page.grey.astype(np.float32)
     y, x = np.mgrid[: grey.shape[0], : grey.shape[1]] / max(grey.shape)
     boards = 35 + 18 * np.sin(90 * y + 3 * np.sin(8 * x))
@@ -110,4 +110,4 @@ def test_what_is_no_sheet():
     assert find_sheet(grey) is None
     band = np.full((400, 500), 230, np.uint8)
     band[:, :80] = 60
-    assert find_sheet(band) is None, "one dark edge is that of a scanner"
+    assert find_sheet(band) is None, "a single dark edge comes from a scanner, not from a sheet"

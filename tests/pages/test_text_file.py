@@ -1,4 +1,4 @@
-"""Files of text: their kind is known, what is not read is named, and documents are paragraphs."""
+"""Text files: detection of their kind, messages about unsupported kinds, text of documents."""
 
 import io
 import shutil
@@ -14,7 +14,7 @@ from smarttouch.pages.text_file import FileKind, file_kind, read_document_text, 
 
 
 def packed(*names, mimetype=""):
-    """Return a ZIP file with members of these names; the same bytes each time."""
+    """Return a ZIP file with members of these names; its bytes are identical in each call."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
         if mimetype:
@@ -120,7 +120,7 @@ def read(path):
 
 
 def written(folder, kind, source=SOURCE):
-    """Return a file of a kind, made by pandoc from Markdown."""
+    """Convert Markdown to a file of this kind with pandoc, and return its path."""
     path = folder / f"document.{kind}"
     if kind == "md":
         path.write_text(source)

@@ -1,4 +1,4 @@
-"""Lines are found, in order and where they are, on pages as scanners and cameras see them."""
+"""Detection of text lines on scanned and photographed pages: their order and position."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -29,7 +29,7 @@ SCAN = {
 
 
 def error(line, truth):
-    """Return how far a found line's baseline is from a printed one, in x-heights; NaN beyond."""
+    """Return the mean baseline error in x-heights; NaN if the line is too short or misplaced."""
     x, y = truth.baseline_mm.T
     inside = (x >= line.left_mm - 0.1) & (x <= line.right_mm + 0.1)
     if inside.mean() < 0.9:
@@ -37,11 +37,11 @@ def error(line, truth):
     return float(np.abs(line.baseline_mm(x[inside]) - y[inside]).mean() / truth.x_height_mm)
 
 
-def assert_found(printed, lines, most=0.16):
-    """Assert that the lines are those printed: all, no more, in order and in place."""
+def assert_found(printed, lines, max_error=0.16):
+    """Assert that exactly the printed lines are found, in order, with small baseline errors."""
     assert len(lines) == len(printed.lines)
     errors = [error(*pair) for pair in zip(lines, printed.lines, strict=True)]
-    assert max(errors) < most
+    assert max(errors) < max_error
 
 
 @pytest.mark.parametrize(
@@ -78,14 +78,14 @@ PRINT = {
         {"size_pt": 14, "dpi": 200}, {"skew_deg": -3},
     ),
 }  # fmt: skip
-"""Lines, how they are printed if not in 12 points at 150 dpi, and how mistreated."""
+"""Lines of text, changes of the default print (12 points, 150 dpi), and options of `degrade`."""
 
 
 @pytest.mark.parametrize("case", PRINT)
 def test_lines_of_any_print_stay_whole(case):
     lines, kind, harm = PRINT[case]
     page = degrade(print_page(lines, **{"size_pt": 12, "dpi": 150} | kind), **harm)
-    assert_found(page, find_lines(page.page), most=0.25)
+    assert_found(page, find_lines(page.page), max_error=0.25)
 
 
 @pytest.mark.parametrize("mm_per_pixel", [0.01, 0.3, 2.0])
@@ -104,7 +104,7 @@ def test_lines_of_one_print_have_one_height():
     lines = find_lines(page.page)
     heights = [line.height_mm for line in lines]
     assert max(heights) < 1.01 * min(heights)
-    # DejaVu Serif: b is 0.76, p 0.24 and x 0.52 of the size.
+    # DejaVu Serif: relative to the font size, b rises 0.76, p descends 0.24 and x is 0.52 high.
     size_mm = 12 * 25.4 / 72
     assert lines[0].ascent_mm == pytest.approx(0.76 * size_mm, rel=0.07)
     assert lines[0].descent_mm == pytest.approx(0.24 * size_mm, rel=0.2)
@@ -139,7 +139,7 @@ def test_text_beside_a_picture(picture):
     both = Printed(Page(grey, page.page.mm_per_pixel), tuple(moved))
     lines = find_lines(both.page)
     in_picture = [line for line in lines if line.bottom_mm < 290 * page.page.mm_per_pixel]
-    assert len(in_picture) <= (1 if picture == "camera" else 11), "specks may look like letters"
+    assert len(in_picture) <= (1 if picture == "camera" else 11), "too many specks read as letters"
     assert_found(both, [line for line in lines if line not in in_picture])
 
 
@@ -149,7 +149,7 @@ def test_a_photographed_page_of_a_book():
     first_six = [line.bottom_mm for line in lines[:6]]
     assert first_six == sorted(first_six)
     for above, below in pairwise(lines):
-        # They slope, and are not equally long: what counts is where both are.
+        # Lines slope and differ in length, so compare two lines only where both have text.
         shared = np.array([max(above.left_mm, below.left_mm), min(above.right_mm, below.right_mm)])
         lower = above.baseline_mm(shared) + above.descent_mm
         assert (lower <= below.baseline_mm(shared) - below.ascent_mm).all()
@@ -200,7 +200,7 @@ def test_a_baseline_goes_straight_on_beyond_the_ends():
 def test_columns_parted_by_a_rule_are_read_one_after_the_other():
     page = print_page(some_lines(24, 22), size_pt=10, dpi=150, columns=2)
     per_mm = 1 / page.page.mm_per_pixel
-    # The columns are moved together until only the rule parts them.
+    # Move the columns together, so that only the rule separates them.
     left_end = max(line.baseline_mm[-1, 0] for line in page.lines[:12])
     right = page.lines[12].baseline_mm[0, 0]
     cut, start = round((left_end + 1.4) * per_mm), round((right - 1.4) * per_mm)
@@ -217,7 +217,7 @@ def test_columns_parted_by_a_rule_are_read_one_after_the_other():
 def test_columns_stay_apart_beside_short_paragraphs():
     page = print_page(some_lines(40, 34), size_pt=10, dpi=150, columns=2)
     grey, per_mm = page.page.grey.copy(), 1 / page.page.mm_per_pixel
-    erased = [*range(25, 28), *range(31, 34)]  # rows of the right column
+    erased = [*range(25, 28), *range(31, 34)]  # indices of lines in the right column
     for k in erased:
         x, y = (page.lines[k].baseline_mm[0] * per_mm).astype(int)
         grey[y - 18 : y + 8, x - 5 :] = grey[0, 0]
@@ -294,7 +294,7 @@ def test_underlined_words_stay_in_their_line(below_px):
 
 @pytest.fixture(scope="module")
 def panel():
-    """Return a page with a dark panel of three lines in the middle, and where it is."""
+    """Return a page with a dark panel of three lines in its middle, and the panel's slices."""
     printed = print_page(some_lines(11, 40), size_pt=11, dpi=150)
     grey = printed.page.grey.copy()
     y = [round(line.baseline_mm[0, 1] / printed.page.mm_per_pixel) for line in printed.lines]
