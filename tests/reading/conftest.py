@@ -1,4 +1,4 @@
-"""An array that reads, and lines that lie under it."""
+"""Fixtures: a profile for reading, its kernel bank, and lines to read."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from smarttouch.reading.line_source import TouchLine
 
 @pytest.fixture(scope="session")
 def reading():
-    """The 8 x 8 array as it reads."""
+    """Return the profile of the 8 x 8 array for reading rendered text."""
     return profile_for_reading(load_profile("electric-mouse"))
 
 
@@ -22,7 +22,7 @@ def reading_bank(reading):
 
 @pytest.fixture
 def make_line(reading):
-    """Return a maker of lines with a bar of ink, as wide and as far in as asked."""
+    """Return a function that makes a line with a bar of ink between two positions, in mm."""
 
     def make(length_mm=30.0, bar_mm=(10.0, 14.0), **more):
         pixel_mm = pixel_pitch_mm(reading)

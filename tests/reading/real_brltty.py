@@ -16,18 +16,18 @@ _TABLE = Path("/etc/brltty/Text/en-nabcc.ttb")
 _WRITER = """
 import json, sys, time, brlapi
 api = brlapi.Connection(host=sys.argv[1].encode())
-# BrlAPI answers before the display has been found.
+# BrlAPI accepts connections before BRLTTY has found the display.
 while not (width := api.displaySize[0]):
     time.sleep(0.02)
 api.enterTtyModeWithPath([1])
 print(json.dumps(width), flush=True)
 for line in sys.stdin:
-    asked, value, *cursor = json.loads(line)
-    if asked == "write":
-        told = brlapi.WriteStruct()
-        told.regionBegin, told.regionSize = 1, width
-        told.text, told.cursor = value.ljust(width), cursor[0] if cursor else 0
-        api.write(told)
+    command, value, *cursor = json.loads(line)
+    if command == "write":
+        content = brlapi.WriteStruct()
+        content.regionBegin, content.regionSize = 1, width
+        content.text, content.cursor = value.ljust(width), cursor[0] if cursor else 0
+        api.write(content)
         print("true", flush=True)
     else:
         key = api.readKeyWithTimeout(value)
@@ -36,7 +36,7 @@ for line in sys.stdin:
 
 
 def require_brltty():
-    """Skip where BRLTTY or its Python binding is not installed."""
+    """Skip the test if BRLTTY or its Python binding is not installed."""
     if shutil.which("brltty") is None or not _TABLE.exists():
         pytest.skip("brltty is not installed")
     found = subprocess.run([_PYTHON, "-c", "import brlapi"], capture_output=True, check=False)
@@ -51,7 +51,7 @@ def free_port():
 
 
 def cells_of(text):
-    """Return the cells of a text by BRLTTY's own table, U+2800 and up."""
+    """Translate a text to Braille characters, U+2800 and up, by BRLTTY's own table."""
     return "".join(_nabcc()[each] for each in text)
 
 
@@ -64,14 +64,14 @@ def _nabcc():
 
 
 class Brltty:
-    """BRLTTY, restarted as often as needed: ``device`` is as behind its option ``-d``.
+    """BRLTTY process, which can be started again after `kill`.
 
-    Of its settings, a file such as ``/etc/brltty.conf``, only the device, the screen and BrlAPI's
-    host are replaced.
+    ``device`` is a value of BRLTTY's option ``-d``. ``settings`` is the text of a file such as
+    ``/etc/brltty.conf``; the device, the screen driver and BrlAPI's host in it are replaced.
     """
 
     def __init__(self, device: str, folder: Path, settings: str) -> None:
-        # BrlAPI's host ":4" is port 4101 + 4.
+        # BrlAPI counts ports from 4101: the host ":4" is TCP port 4105.
         self.host = f":{free_port() - 4101}"
         path = folder / "brltty.conf"
         path.write_text(
@@ -83,19 +83,19 @@ class Brltty:
         self.process: subprocess.Popen | None = None
 
     def start(self) -> None:
-        """Start it, without the greeting, which a writing program can crash (BRLTTY 6.5)."""
+        """Start BRLTTY without a greeting: BRLTTY 6.5 can crash if a program writes during it."""
         command = ["brltty", "-q", "-n", "-E", "-e", "-t", "en-nabcc", *self._options]
         self.process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
 
     def kill(self) -> None:
-        """End it without a chance to say so."""
+        """Kill BRLTTY, without an orderly shutdown."""
         if self.process is not None:
             self.process.kill()
             self.process.wait()
 
     @contextlib.contextmanager
     def writer(self) -> Iterator["Writer"]:
-        """Connect a program through BrlAPI, as soon as it answers."""
+        """Yield a program connected through BrlAPI; retries until BrlAPI answers."""
         for _ in range(600):
             program = subprocess.Popen(
                 [_PYTHON, "-c", _WRITER, self.host], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -106,21 +106,21 @@ class Brltty:
                     yield Writer(program)
                     program.kill()
                     return
-        raise RuntimeError("BrlAPI does not answer")
+        raise RuntimeError(f"BrlAPI does not answer at {self.host}")
 
 
 class Writer:
-    """A program at BrlAPI."""
+    """Program that writes to BRLTTY and receives keys from it, through BrlAPI."""
 
     def __init__(self, program: subprocess.Popen) -> None:
         self._program = program
 
     def write(self, text: str, cursor: int = 0) -> None:
-        """Put a text on the display, with a cursor under a cell counted from 1."""
+        """Write a text to the display; ``cursor`` is a cell counted from 1, or 0 for none."""
         self._ask(["write", text, cursor])
 
     def key(self, timeout_ms: int = 60_000) -> dict:
-        """Return the next key."""
+        """Wait for the next key and return its code, expanded by BrlAPI."""
         return self._ask(["key", timeout_ms])
 
     def _ask(self, what):

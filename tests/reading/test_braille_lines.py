@@ -1,4 +1,4 @@
-"""Texts and files become cells, at the distances of Braille, and come back from the pulses."""
+"""Braille lines of texts and files: distances of dots, and cells decoded from pulses."""
 
 import shutil
 from functools import cache
@@ -71,7 +71,7 @@ def delivered(name, line, eight=False):
     profile, bank = array(name)
     layout = cell_layout(profile, eight)
     shown = layout.line(line)
-    # One pulse for each place is enough for a machine.
+    # Move fast: to decode the cells, one pulse at each position is enough.
     motion = Braille().motion(profile, profile.electrodes.cell_mm[0] * 20)
     picture = deliver_pulses(shown, LineDelivery(profile, bank, Braille().tone, motion)).picture
     dots = 8 if eight else 6

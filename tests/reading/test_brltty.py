@@ -1,4 +1,4 @@
-"""BRLTTY: its messages, cells under the finger, and a real one, which runs and restarts."""
+"""Source for BRLTTY: messages, cells under the finger, and restarts of a real BRLTTY."""
 
 import re
 import socket
@@ -33,7 +33,7 @@ CELLS = st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x28FF), min_s
 
 
 def said(cells, text=""):
-    """Return what BRLTTY sends of cells and their text."""
+    """Return the messages by which BRLTTY sends cells and their text."""
     dots = [
         "".join(str(dot + 1) for dot in range(8) if ord(cell) >> dot & 1) or " " for cell in cells
     ]
@@ -82,7 +82,7 @@ def test_a_display_is_found_and_lost_and_found_again():
 
 
 class Scripted(BrailleDisplaySource):
-    """Shows what a test says, and keeps the commands to BRLTTY."""
+    """Source whose content a test sets, and which records the commands to BRLTTY."""
 
     def __init__(self, speed_mm_s):
         super().__init__(str(free_port()), PROFILE, speed_mm_s=speed_mm_s)
@@ -97,7 +97,7 @@ class Scripted(BrailleDisplaySource):
 
 
 class Finger:
-    """A source with its clock, which moves on by a cell a second."""
+    """Scripted source, read by a simulated clock; its line moves by one cell per second."""
 
     def __init__(self):
         layout = cell_layout(PROFILE, eight=True)
@@ -106,18 +106,18 @@ class Finger:
         self._time_ns = 0
 
     def after(self, seconds=0.0):
-        """Return the stimulus so many seconds later."""
+        """Advance the clock and return the stimulus."""
         self._time_ns += round(seconds * 1e9)
         return self.source.read(self._time_ns)
 
     def window(self, seconds=0.0):
-        """Return which electrodes are active so many seconds later, alike for every class."""
+        """Advance the clock and return which electrodes are active; all classes must agree."""
         activation = self.after(seconds).activation
         np.testing.assert_array_equal(activation, np.tile(activation[:1], (len(Afferent), 1)))
         return activation[0].reshape(8, 8) > 0
 
     def cell(self, seconds=0.0):
-        """Return the cell in the middle of the array so many seconds later."""
+        """Advance the clock and return the cell in the middle of the array."""
         window, layout = self.window(seconds), self.layout
         top = (layout.rows - layout.height) // 2
         rows = top + layout.dot_y * np.array([0, 1, 2, 0, 1, 2, 3, 3])
@@ -179,9 +179,9 @@ def test_what_was_typed_is_felt_and_not_the_line_again(finger):
     finger.show("⠓⠊⠞⣀")
     assert finger.cell() == "⠞"
     assert finger.cell(REST_S + 1.0) == "⣀"
-    finger.show("⠓⠊⣀⠀")  # deleted: the cursor stands there
+    finger.show("⠓⠊⣀⠀")  # a character was deleted, so the cursor is in the third cell
     assert finger.cell(9.0) == "⣀"
-    finger.show("⠓⠊⣀⠙")  # not where anybody types
+    finger.show("⠓⠊⣀⠙")  # a change after the cursor is not typing, so the line starts again
     assert finger.cell() == "⠓"
 
 
@@ -238,9 +238,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "read.md"
 
 @pytest.fixture
 def brltty(tmp_path):
-    """Return BRLTTY, not yet started, and a source that it will look for.
+    """Return a BRLTTY that is not started yet, and the source to which it will connect.
 
-    Its settings are those that the documentation asks readers to write.
+    BRLTTY has the settings that `docs/how-to/read.md` tells readers to write.
     """
     require_brltty()
     (settings,) = re.findall(
@@ -258,7 +258,7 @@ def test_texts_are_shown_keys_arrive_and_restarts_are_survived(brltty):
     real, source = brltty
 
     def put(writer, text, cursor=0):
-        """Write a text until it is shown: just after its start BRLTTY can lose what is written."""
+        """Write a text until the source shows it: BRLTTY can lose text just after its start."""
 
         def is_shown():
             writer.write(text, cursor)

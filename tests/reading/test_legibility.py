@@ -1,4 +1,4 @@
-"""Letters are drawn with electrodes, and read from the pulses that were delivered."""
+"""Letter shapes on electrodes, character error rates, and pictures of delivered pulses."""
 
 import sys
 from dataclasses import replace
@@ -33,7 +33,7 @@ def test_all_letters_differ(profile):
     apart = (drawn[:, None] != drawn[None]).sum(axis=2)
     assert apart[~np.eye(26, dtype=bool)].min() >= 4
     assert set(np.unique(drawn)) == {0.0, 1.0}
-    # As high as the array, but for W, which is as wide.
+    # All letters are 8 electrodes high, except W, which is 8 electrodes wide.
     rows = drawn.reshape(26, 8, 8).any(axis=2).sum(axis=1)
     assert rows.min() >= 6
     assert (rows == 8).sum() == 25
@@ -88,7 +88,7 @@ def way(reading, reading_bank):
 
 
 def felt_along(picture):
-    """Return the mean of each column of a picture, by millimeters."""
+    """Return the position of each column of a picture, in mm, and the mean of each column."""
     values = picture.values()
     return (np.arange(values.shape[1]) + 0.5) * 2.0 / PIXELS_PER_PITCH, values.mean(axis=0)
 
@@ -102,8 +102,8 @@ def test_bars_are_felt_where_they_are(way, make_line):
     assert felt[(x_mm > 12) & (x_mm < 14)].min() > 0.9
     assert felt[(x_mm < 7) | (x_mm > 19)].max() < 0.1
     assert (x_mm * felt).sum() / felt.sum() == pytest.approx(13.0, abs=0.2)
-    # A finger that is lifted at the end of a line makes nothing paler: what is missing from 1 are
-    # parts of a microampere.
+    # A lifted finger has the pose x = 0: its frames must not weaken the picture at this place.
+    # Values are slightly below 1 because currents are rounded to whole microamperes.
     x_mm, felt = felt_along(second)
     assert felt[(x_mm > 3) & (x_mm < 5)].min() > 0.99
 
@@ -113,14 +113,14 @@ def test_many_points_in_a_slot_are_felt_as_they_are_one_by_one(way, make_line):
     by_points = deliver_pulses(line, way).picture.values()
     shared = replace(way, sharing=SlotPolicy((Afferent.RA,)))
     at_once = deliver_pulses(line, shared).picture.values()
-    # Plans may fall short of the fullest activation by 4 %, which is 8 % above the threshold.
+    # A shared slot can reach 4 % less than full activation: 8 % of the range above threshold.
     assert np.abs(at_once - by_points).max() < 0.12
     assert not np.array_equal(at_once, by_points)
 
 
 @pytest.fixture(scope="module")
 def shown():
-    """A profile, and its letters L and T in RA mode."""
+    """Return a profile, and the scan sequences of its letters L and T in RA mode."""
     profile = load_profile("smarttouch-4x4")
     return profile, letter_sequences("LT", profile, load_bank(profile), Mode.RA)
 

@@ -1,4 +1,4 @@
-"""Lines pass under the finger as fast as asked, forward and back, and are prepared in time."""
+"""Source of lines: motion under the finger, keys, and preparation of lines in a thread."""
 
 import math
 import threading
@@ -29,7 +29,7 @@ MOTION = LineMotion(25.0)
 
 @pytest.fixture
 def source_of(reading):
-    """Return a maker of sources with some lines, closed at the end."""
+    """Return a function that makes a `ReadingSource` of lines; teardown closes the sources."""
     opened = []
 
     def make(*lines, motion=MOTION, pause_s=0.0):
@@ -42,16 +42,16 @@ def source_of(reading):
         each.close()
 
 
-def frames_of(source, step_ms=20, most=2000):
-    """Return all frames until the end, with the index of their lines and times in seconds."""
+def frames_of(source, step_ms=20, max_steps=2000):
+    """Read all frames; return (time in seconds, index of the line, frame) of each."""
     found = []
-    for step in range(most):
+    for step in range(max_steps):
         index = source.index
         frame = source.read(step * step_ms * MS)
         if frame is None:
             return found
         found.append((step * step_ms / 1000, index, frame))
-    raise AssertionError("it never ends")
+    raise AssertionError(f"the source has not ended after {max_steps} frames")
 
 
 def test_a_line_is_swept_from_before_its_start_to_after_its_end(reading, source_of, make_line):
@@ -69,7 +69,7 @@ def test_a_line_is_swept_from_before_its_start_to_after_its_end(reading, source_
         assert frame.force_n == (reading_force_n(reading) if time_s >= LAND_S else 0.0)
         ink = (x_mm + columns > 10.25) & (x_mm + columns < 13.75)
         assert (frame.image[8][ink] < 128).all()
-    # A point marks the start: without pulses before it, the first letters would rise from nothing.
+    # A point marks the start: its pulses raise the intensity before the first letters arrive.
     dark = [(frames[0][1].image == 0).any(axis=axis).sum() for axis in (0, 1)]
     assert dark == pytest.approx([side / pixel_mm for side in reading.electrodes.cell_mm], abs=1)
     assert (frames[int(SETTLE_S / 0.02) + 2][1].image == 255).all()
@@ -101,7 +101,7 @@ def test_keys_go_forward_back_and_again(source_of, make_line):
     assert [index for index, _ in seen] == [0, 1, 2, 1, 0, 0, 0, 1]
     assert [words for _, words in seen] == ["abcd"[index] for index, _ in seen]
     assert source.title == "a page, line 2 of 4: b"
-    # A line that a key asks for again is announced again.
+    # If a key repeats a line, a note announces the line again.
     assert said == [(5, "a page, line 1 of 4: a"), (6, "a page, line 1 of 4: a")]
     assert source.account == "3 lines read: a / b / c"
     assert source.sheet.number == 1
@@ -130,7 +130,7 @@ def test_a_key_can_be_waited_for(source_of, make_line):
     source.keys["right"]()
     source.read(10_000 * MS)
     assert source.index == 1
-    # After the last there is nothing to wait for.
+    # After the last line, the source ends without waiting for a key.
     assert source.read(30_000 * MS) is not None
     assert source.read(30_020 * MS) is None
 

@@ -1,4 +1,4 @@
-"""Texts, images, documents and files of cells, each as what it is."""
+"""Reading material: texts, images, documents and files of Braille cells."""
 
 import shutil
 
@@ -25,7 +25,7 @@ def notes():
 
 @pytest.fixture
 def source_of(tmp_path, notes):
-    """Return a maker of sources: a text, or pages that are given as texts and blanks."""
+    """Return a function that opens a source, or prints pages ("" is blank) and opens their file."""
 
     def make(name, *pages, **how):
         if pages:

@@ -1,4 +1,4 @@
-"""Lines of pages become paragraphs, joined words and rows of tables; running heads go."""
+"""Paragraphs from printed lines: joined words, rows of tables, and removed running heads."""
 
 import re
 
@@ -10,7 +10,7 @@ CHARACTER_MM, STEP_MM, TOP_MM = 1.5, 4.0, 20.0
 
 
 def page(text, number=1, left_mm=20.0):
-    """Return the lines of a page of even type: # is larger, and three spaces part cells."""
+    """Return the lines of a monospaced page; # marks large print, and 3 spaces separate cells."""
     lines = []
     for row, line in enumerate(text.split("\n")):
         cells = list(re.finditer(r"\S+(?: {1,2}\S+)*", line))
@@ -25,12 +25,12 @@ def page(text, number=1, left_mm=20.0):
 
 
 @pytest.mark.parametrize(("text", "found"), [
-    # Headings, indents, gaps and early ends begin paragraphs.
+    # A paragraph begins at a heading, at an indent, after a gap, and after a short line.
     ("# Of pages\nThe first words are here\nand more of them come.\n  Another one begins so\n"
      "and goes on.\nThis one follows an end.\n\nAfter a gap",
      ["Of pages", "The first words are here and more of them come.",
       "Another one begins so and goes on.", "This one follows an end.", "After a gap"]),
-    # Marks of items, with what hangs below them.
+    # List items, with their continuation lines.
     ("Bring what you need for it:\n- a pencil and a piece of\n  paper\n- some tea\n\nThen:\n"
      "1. Open the gate of the mill\nand wait.\n2. Go.\n• nothing\n◦ at all",
      ["Bring what you need for it:", "- a pencil and a piece of paper", "- some tea", "Then:",
@@ -52,7 +52,7 @@ def page(text, number=1, left_mm=20.0):
       "Dear Mrs Miller, thank you for the letter that came."]),
     ("You need these for a loaf of bread:\n\nflour for two loaves\nsugar\nsalt\nmilk",
      ["You need these for a loaf of bread:", "flour for two loaves", "sugar", "salt", "milk"]),
-    # Lines a little short or out of line are prose.
+    # Slightly short or slightly indented lines are prose.
     ("He went to the old mill by the river and saw the wheel going\n"
      "so well that he told all his friends of it when he was\n"
      "at home, and then they went to the mill and saw it too.",
@@ -62,19 +62,19 @@ def page(text, number=1, left_mm=20.0):
      " And this one has the same place so,\n   Another paragraph begins in here\nand goes on.",
      ["One is a line of the text here and so is this one, which goes on and on. And this one has "
       "the same place so,", "Another paragraph begins in here and goes on."]),
-    # Entries of contents lose their leaders, and an exam keeps its blanks.
+    # Tables of contents lose their dot leaders; forms keep the blanks to fill in.
     ("Preface . . . . . . . . . v\nThe river and the dam that\nholds it ................ 12\n"
      "Wait ... and see ........ 9\nName: ____________________\nAge .......................",
      ["Preface v", "The river and the dam that holds it 12", "Wait ... and see 9",
       "Name: ____________________", "Age ......................."]),
-    # Hanging entries.
+    # Bibliography entries with hanging indents.
     ("Miller, Ada: On the wheels of\n    mills, and on the water\n    below.\n"
      "Other, Ben: On bread and what\n    it is made of, with an\n    index.",
      ["Miller, Ada: On the wheels of mills, and on the water below.",
       "Other, Ben: On bread and what it is made of, with an index."]),
     ("[1] A. Miller, The old mill by the river\nin it, 1899.\n[2] B. Other, On rivers.",
      ["[1] A. Miller, The old mill by the river in it, 1899.", "[2] B. Other, On rivers."]),
-    # Empty cells of tables.
+    # An empty table cell becomes a hyphen.
     ("Stop   Mon   Sat   Sun\nMill   7:05   8:05\nWell                8:31\n"
      "Hall   7:20         9:20",
      ["Stop; Mon; Sat; Sun", "Mill; 7:05; 8:05; -", "Well; -; -; 8:31", "Hall; 7:20; -; 9:20"]),
@@ -100,7 +100,7 @@ def test_hyphens_at_the_ends_of_lines(text, found):
 
 def test_a_paragraph_continues_in_the_next_column_and_behind_a_footnote():
     left, right = page("one and two\nand three and"), page("four and five\nand six and", 1, 120)
-    # Footnotes are smaller.
+    # A footnote has smaller print.
     foot = [PrintedLine("* A note.", 1, 120, 140, 60, 1.2)]
     after = page("seven.\nAnother one is here", 2)
     assert paragraphs(left + right + foot + after) == [

@@ -1,4 +1,4 @@
-"""Text comes back from images, pages are turned upright, and each failure has its sentence."""
+"""Recognition of text by Tesseract, rotation of pages to upright, and error messages."""
 
 import shutil
 import subprocess
@@ -41,7 +41,7 @@ OPTIONS = RecognitionOptions()
 
 
 def printed(lines, height=36):
-    """Return lines in black on white, `height` pixels from ascender to descender."""
+    """Return an image of lines, black on white, `height` pixels from ascender to descender."""
     face = ImageFont.truetype(str(FONT), height * 3 // 4)
     width = max(int(face.getlength(line)) for line in lines)
     sheet = Image.new("L", (width + 2 * height, (len(lines) + 1) * height * 5 // 4), 255)
@@ -52,20 +52,20 @@ def printed(lines, height=36):
 
 
 def strip(text):
-    """Return a line of print as tall as its letters are."""
+    """Return an image of one line, cropped to the height of its letters."""
     page = printed([text])
     inked = np.flatnonzero((page < 255).any(axis=1))
     return page[inked[0] : inked[-1] + 1]
 
 
 def row(text, place=(1, 1, 1), confidence=90, image=1):
-    """Return a row of a word in Tesseract's table."""
+    """Return the row of a word in Tesseract's output; ``place`` is (block, paragraph, line)."""
     return "\t".join(map(str, (5, image, *place, 1, 0, 0, 9, 9, confidence, text)))
 
 
 @pytest.fixture
 def program(tmp_path, monkeypatch):
-    """Return a maker of programs that take Tesseract's place."""
+    """Return a function that installs a shell script under the name ``tesseract``."""
     folder = tmp_path / "bin"
     folder.mkdir()
     monkeypatch.setenv("PATH", f"{folder}:/usr/bin:/bin")
@@ -133,7 +133,7 @@ def test_how_the_program_is_called(program, spotted, tmp_path):
     recognize(spotted, languages="eng+deu", layout=BLOCK)
     told = (tmp_path / "told").read_text().strip()
     assert told == "1 stdin stdout -l eng+deu --psm 6 tsv"
-    # Tesseract refuses wider images.
+    # An image of 64,000 pixels is reduced, because Tesseract rejects such wide images.
     recognize(np.repeat(spotted, 160, axis=1))
     with Image.open(tmp_path / "given") as given:
         assert given.size == (32_000, 20)
@@ -152,7 +152,7 @@ def test_blank_images_have_no_text_and_need_no_program_to_run(program, image):
      "apt install tesseract-ocr-chi-sim"),
 ])  # fmt: skip
 def test_failures(program, spotted, script, value, ending):
-    """The message has the program's own words and the package to install."""
+    """The message ends with the last line of Tesseract's error, or with the package to install."""
     program(script)
     with raises(ReadingError, value=value) as caught:
         recognize(spotted, timeout_s=0.3)
@@ -218,7 +218,7 @@ def test_a_page_is_turned_as_it_should_be(text, turns):
 
 @needs_tesseract
 def test_a_turn_after_which_less_is_recognized_is_not_kept():
-    """Tesseract is sure that some tables of figures are upside down."""
+    """Tesseract reports with confidence that this upright table of numbers is upside down."""
     page = Page(print_text("\n".join(f"{k} 17 {k}{k} 20 {k}4" for k in range(1, 9))).grey, 0.1)
     prepared = upright_page(1, page, OPTIONS, pytest.fail)
     np.testing.assert_array_equal(prepared.page.grey, page.grey)
@@ -227,7 +227,7 @@ def test_a_turn_after_which_less_is_recognized_is_not_kept():
 def test_only_what_is_not_known_is_recognized_and_doubts_are_reported(program):
     page, notes = prepare_text("x\ny\nz"), []
     assert list(recognized_lines(page, OPTIONS, pytest.fail)) == [(0, "x"), (1, "y"), (2, "z")]
-    # Tesseract is given one strip, of which it is not sure.
+    # Only the unknown third line goes to Tesseract, which recognizes it with 30 % confidence.
     program("cat > /dev/null; cat TABLE", [row("scrawl", confidence=30)])
     page = replace(page, words=(), known={0: ("one", 0.3), 1: ("two", 0.3)})
     lines = recognized_lines(page, OPTIONS, notes.append)
