@@ -1,4 +1,4 @@
-"""Pages of Braille dots, drawn with discs."""
+"""Drawn test pages of Braille dots."""
 
 import cv2
 import numpy as np
@@ -7,7 +7,7 @@ from smarttouch.braille.cells import POSITION, cells_to_dots
 
 
 def draw_dots(lines: list[str], dot_px: float = 12.0):
-    """Return lines of cells as dark dots on paper, (H, W) uint8, at the distances of Braille."""
+    """Draw lines of cells as dark dots, (H, W) uint8; the dots of a cell are ``dot_px`` apart."""
     cell_px, line_px = np.array([2.65, 4.27]) * dot_px
     height, width = len(lines) * line_px, max(map(len, lines)) * cell_px
     page = np.full((round(height + 4 * dot_px), round(width + 4 * dot_px)), 225, np.uint8)

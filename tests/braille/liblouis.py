@@ -1,4 +1,4 @@
-"""Tests that need liblouis."""
+"""Marker of tests that need liblouis."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""BRF: what is written is read, other programs' files too, and what is no BRF gets one sentence."""
+"""BRF files: writing and reading, files of other programs, and messages about bad bytes."""
 
 import contextlib
 
@@ -31,7 +31,7 @@ def test_every_cell_has_a_code_of_its_own():
 @given(PAGES)
 @example([[""], ["", "⠀"], ["", "⠁"]])
 def test_what_is_written_is_read(pages):
-    """But for blank lines, and blank cells at the ends of lines."""
+    """Pages are unchanged except for blank lines and blank cells at the ends of lines."""
     lines, read = (
         [[line.rstrip("⠀") for line in page if line.strip("⠀")] for page in each]
         for each in (pages, parse_brf(format_brf(pages)))

@@ -1,4 +1,4 @@
-"""Cells are dots, and dots cells."""
+"""Conversion of Braille characters to dots and back."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Tables by name, with liblouis and without; texts with whatever stands in texts."""
+"""Braille tables by name, with and without liblouis, and characters that tables do not have."""
 
 import pytest
 from hypothesis import given, settings
@@ -128,7 +128,7 @@ def test_exponents_and_indices_are_technical_notation(name):
     assert all(part in cells for part in ("⠼⠁⠚⠔⠼⠋", "⠭⠰⠔⠼⠃", "⠠⠓⠰⠢⠼⠃⠠⠕", "⠔⠣⠐⠤⠼⠉⠜"))
     assert table.to_cells("about 10⁶, x²") == cells[: len(table.to_cells("about 10^6, x^2"))]
     assert table.to_text(cells) == text
-    # Other programs write no indicator before a letter that does not stand alone.
+    # Other programs omit the grade 1 indicator before this x, because x is not a separate word.
     assert table.to_text("⠭⠰⠔⠼⠃") == "x^2"
 
 

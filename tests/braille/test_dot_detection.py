@@ -1,4 +1,4 @@
-"""Pictures of Braille are told from pages of print, halftones and dotted paper."""
+"""Detection of Braille in pictures; print, halftones and dotted paper are not Braille."""
 
 import cv2
 import numpy as np
@@ -23,7 +23,7 @@ def turned(picture, degrees):
 
 
 def lit_from_the_side(picture):
-    """Return raised dots, bright on one side and in shadow on the other."""
+    """Return a picture of embossed dots, each bright on one side and dark on the other."""
     slope = sum(np.gradient(cv2.GaussianBlur(picture.astype(float), (0, 0), 2)))
     noise = np.random.default_rng(1).normal(0, 3, picture.shape)
     return np.clip(190 + 2 * slope + noise, 0, 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""English without contractions: known words, its own cells read back, and as liblouis has it."""
+"""Uncontracted English Braille (grade 1): known words, cells back to text, equal to liblouis."""
 
 import re
 import string
@@ -93,7 +93,7 @@ TOKENS = st.one_of(
 @settings(deadline=None)
 @given(st.lists(TOKENS, min_size=1, max_size=8).map(" ".join))
 def test_ordinary_text_is_as_liblouis_has_it(text):
-    # It joins any two numbers into one, and marks three words in capitals as a passage.
+    # Unlike `Grade1`, liblouis joins two numbers, and marks 3 words in capitals as a passage.
     apart = re.sub(r"(?<=\d) (?=\d)", " and ", text)
     assume(not re.search(r"(?:[^a-z ]*[A-Z][^a-z ]*(?: [^a-zA-Z]+)? ){2}[^a-z ]*[A-Z]", apart))
     assert ENGLISH.encode(apart) == LouisCode("en-ueb-g1.ctb").encode(apart)

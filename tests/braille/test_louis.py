@@ -1,4 +1,4 @@
-"""liblouis: known contractions, unknown characters, and what works without it."""
+"""Translation by liblouis: contractions, missing characters, unknown tables, and threads."""
 
 import threading
 

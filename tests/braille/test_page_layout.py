@@ -1,4 +1,4 @@
-"""Lines fit, pages fit, and all words come back."""
+"""Layout of Braille paragraphs on pages of limited size, and joining of lines to paragraphs."""
 
 from itertools import pairwise
 
