@@ -1,6 +1,6 @@
-"""Tables of figures as Markdown at the end of a run: ``pytest benchmarks``.
+"""Benchmarks: ``pytest benchmarks`` prints their results as Markdown tables at the end.
 
-``pytest benchmarks --quick`` takes each path once, short, with all assertions but those on speed.
+``pytest benchmarks --quick`` runs each code path once and briefly, without assertions on speed.
 """
 
 import sys
@@ -8,17 +8,17 @@ from pathlib import Path
 
 import pytest
 
-sys.path.append(str(Path(__file__).parents[1]))  # last: an installed package comes first
+sys.path.append(str(Path(__file__).parents[1]))  # last, so that an installed package is preferred
 pytest_plugins = ["tests.fixtures"]
 
 
 def pytest_addoption(parser):
-    parser.addoption("--quick", action="store_true", help="run each once, short, and time nothing")
+    parser.addoption("--quick", action="store_true", help="run each benchmark briefly, untimed")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config):
-    """Run benchmarks one after another, in this process, though the project's options differ."""
+    """Run benchmarks one after another in this process; pyproject.toml requests parallel tests."""
     option = config.option
     option.numprocesses, option.dist, option.tx = None, "no", []
     option.benchmark_skip, option.benchmark_disable = False, option.quick
@@ -26,15 +26,15 @@ def pytest_cmdline_main(config):
 
 @pytest.fixture(scope="session")
 def quick(request):
-    """True where counts and sizes are cut and nothing is said of speed."""
+    """Return whether to reduce counts and sizes, and to skip assertions on speed."""
     return request.config.getoption("quick")
 
 
 @pytest.fixture
 def row(record_property):
-    """Return a writer of table rows: a table's title, and a cell for each column.
+    """Return a function that adds a row to a table, given the table's title and cells by column.
 
-    The tables of all tests are printed at the end.
+    Rows with the same title form one table. All tables are printed at the end of the run.
     """
     return lambda title, cells: record_property(
         "row", (title, {key: str(value) for key, value in cells.items()})

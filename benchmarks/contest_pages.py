@@ -1,7 +1,7 @@
-"""F measure and least time of ink over pages with truth, beside other methods.
+"""F1 score and time of `separate_ink` on pages with known ink, compared with other methods.
 
-Run ``python -m benchmarks.contest_pages FOLDER``; of each page the folder
-has ``NAME_source.png`` and ``NAME_target.png``, in which ink is black.
+Run ``python -m benchmarks.contest_pages FOLDER``. For each page, the folder contains the image
+``NAME_source.png`` and the true ink ``NAME_target.png``, in which ink is black.
 """
 
 import math
@@ -17,11 +17,11 @@ from smarttouch.pages.ink import separate_ink
 
 ROUNDS = 10
 NOISE = 40
-"""Sheets of noise without ink, of different grain."""
+"""Number of sheets of noise without ink."""
 
 
 def closed(grey):
-    """Return the ink by a background closed at a quarter of the size, and Otsu's threshold."""
+    """Return ink: estimate the paper by a closing, divide by it, and apply Otsu's threshold."""
     small = cv2.resize(grey, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
     paper = cv2.morphologyEx(small, cv2.MORPH_CLOSE, np.ones((13, 13), np.uint8))
     paper = cv2.resize(cv2.medianBlur(paper, 5), grey.shape[::-1])
@@ -29,7 +29,7 @@ def closed(grey):
 
 
 def otsu(grey):
-    """Return the ink by one threshold for all of the page."""
+    """Return ink by one threshold for the whole page."""
     return cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY_INV | cv2.THRESH_OTSU)[1] > 0
 
 
@@ -42,7 +42,7 @@ METHODS = {
 
 
 def sheets_of_noise():
-    """Yield sheets of grain from fine to coarse and from faint to strong."""
+    """Yield images of paper grain, from fine to coarse and from faint to strong."""
     random = np.random.default_rng(1)
     for k in range(NOISE):
         grain = random.normal(0, 1, (500, 700)).astype(np.float32)
@@ -53,7 +53,7 @@ def sheets_of_noise():
 
 
 def main() -> None:
-    """Print a line for each method; the rounds of all alternate."""
+    """Print the results of each method; methods take turns, so that delays affect all of them."""
     pages = []
     for source in sorted(Path(sys.argv[1]).glob("*_source.png")):
         target = source.with_name(source.name.replace("_source", "_target"))
@@ -71,8 +71,9 @@ def main() -> None:
         blank = sum(not ink.any() for ink in inks[name])
         inked = sum(bool(method(sheet).any()) for sheet in sheets_of_noise())
         print(
-            f"{name:24s} F {np.mean(f):5.1f}, least {min(f):5.1f}, blank {blank}, "
-            f"{1000 * seconds[name] / megapixels:5.1f} ms/Mpx, ink on {inked} of {NOISE} of noise"
+            f"{name:24s} F1 {np.mean(f):5.1f}, worst {min(f):5.1f}, pages without ink {blank}, "
+            f"{1000 * seconds[name] / megapixels:5.1f} ms/Mpx, "
+            f"ink on {inked} of {NOISE} sheets of noise"
         )
 
 

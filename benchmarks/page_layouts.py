@@ -1,4 +1,4 @@
-"""Typeset pages of eleven layouts, flat, scanned or photographed; their text is known."""
+"""Typeset pages of known text in eleven layouts, flat, scanned or photographed."""
 
 import re
 from functools import cache
@@ -27,13 +27,13 @@ LATIN = [
 
 @cache
 def english():
-    """Return the words of a text that seldom changes."""
+    """Return English words from the protocol document, which seldom changes."""
     text = (Path(__file__).parents[1] / "firmware/PROTOCOL.md").read_text("utf-8")
     return sorted(set(re.findall(r"(?<![\w./`-])[a-z]{2,12}(?![\w./`(-])", text)))
 
 
 class Sheet:
-    """Paper on which text is set; ``pieces`` are its lines as they are to be read."""
+    """Sheet on which text is set; ``pieces`` are the texts of its lines in reading order."""
 
     def __init__(self, seed, height=HEIGHT, width=WIDTH):
         self.random = np.random.default_rng(seed)
@@ -44,7 +44,7 @@ class Sheet:
         self.pieces = []
 
     def words(self, count, source=None):
-        """Return some words as prose."""
+        """Return random words, with the capitals and punctuation of prose."""
         words = [str(self.random.choice(source or english())) for _ in range(count)]
         words[0] = words[0].capitalize()
         for k in range(1, count):
@@ -56,7 +56,7 @@ class Sheet:
         return words
 
     def put(self, text, x, y, size=None, font=None, anchor="ls", silent=False):
-        """Print text at its baseline, and return where it ends."""
+        """Draw text at its baseline and return its right end; if silent, omit it from `pieces`."""
         face = _font(font or self.regular, size or self.size)
         self.draw.text((round(x), round(y)), text, fill=INK, font=face, anchor=anchor)
         if not silent:
@@ -64,21 +64,21 @@ class Sheet:
         return x + face.getlength(text)
 
     def row(self, texts, xs, y, anchors=None, **kwargs):
-        """Print the parts of one line, which are read as one."""
+        """Draw separate parts of a line, and append them to `pieces` as one line."""
         for text, x, anchor in zip(texts, xs, anchors or ["ls"] * len(xs), strict=True):
             self.put(text, x, y, anchor=anchor, silent=True, **kwargs)
         self.pieces.append(" ".join(texts))
 
     def leaders(self, start, end, y, size=None):
-        """Print dots from one place to another."""
+        """Draw dot leaders from one position of a line to another."""
         face = _font(self.regular, size or self.size)
         step = face.getlength(" .")
         for x in np.arange(np.ceil((start + step) / step) * step, end - 1.5 * step, step):
             self.put(".", x, y, size, silent=True)
 
     def column(self, x, y, width, lines, size=None, indents=(0, 0), source=None, words=()):
-        """Print ragged lines of words, and return the next baseline; indents of the first line and
-        of the others."""
+        """Draw left-aligned lines of random words and return the next baseline; ``indents`` are
+        the indents of the first line and of the other lines."""
         size = size or self.size
         face = _font(self.regular, size)
         words = [*words, *self.words(20 * lines, source)]
@@ -95,12 +95,12 @@ class Sheet:
         return y
 
     def rule(self, x, y, width, thick=2):
-        """Print a rule."""
+        """Draw a horizontal rule."""
         self.draw.rectangle((x, y, x + width, y + thick), fill=INK)
 
 
 def three_columns(s):
-    """Three columns under a headline; a large quote between rules in the middle one."""
+    """Set three columns under a headline, with a large quote between rules in the middle one."""
     s.put(" ".join(s.words(4)).strip("."), MARGIN, 160, 2 * s.size, s.bold)
     width = (FULL - 2 * GUTTER) // 3
     for k in range(3):
@@ -116,7 +116,7 @@ def three_columns(s):
 
 
 def form(s):
-    """Labels, answers on ruled lines, one or two in a row."""
+    """Set a form: labels with answers on ruled lines, one or two in a row."""
     s.put("Application for " + s.words(1)[0].lower(), WIDTH / 2, 160, 1.7 * s.size, s.bold, "ms")
     y = 300
     for row in range(13):
@@ -134,7 +134,7 @@ def form(s):
 
 
 def index(s):
-    """Three columns of entries with numbers of pages, and entries below them."""
+    """Set an index: three columns of entries with page numbers, and indented subentries."""
     s.put("Index", MARGIN, 160, 2 * s.size, s.bold)
     width, size = (FULL - 2 * GUTTER) // 3, 0.85 * s.size
     for k in range(3):
@@ -147,7 +147,7 @@ def index(s):
 
 
 def dictionary(s):
-    """Two columns of entries with bold head words, guide words above, the page's number."""
+    """Set a dictionary page: two columns with bold headwords, guide words and a page number."""
     words = sorted(s.words(26))
     s.row([words[0], words[-1]], [MARGIN, WIDTH - MARGIN], 120, ["ls", "rs"], font=s.bold)
     s.rule(MARGIN, 140, FULL)
@@ -163,7 +163,7 @@ def dictionary(s):
 
 
 def receipt(s):
-    """A narrow slip: goods and prices, sums."""
+    """Set a narrow receipt: goods with prices, and sums."""
     s.regular, size = "DejaVuSansMono", 8.5 * POINT
     s.put(" ".join(s.words(2)).strip(".,").upper(), WIDTH / 2, 150, 1.4 * size, anchor="ms")
     s.put(f"{s.random.integers(1, 99)} Market Street", WIDTH / 2, 210, size, anchor="ms")
@@ -182,7 +182,7 @@ def receipt(s):
 
 
 def playbill(s):
-    """Centered lines of many sizes, and a cast with leaders."""
+    """Set a playbill: centered lines of many sizes, and a cast list with dot leaders."""
     y = 100
     for factor in (1, 2.6, 1.2, 3.2, 1, 1.6):
         words = " ".join(s.words(2 if factor > 2 else 5)).strip(".,")
@@ -200,7 +200,7 @@ def playbill(s):
 
 
 def bilingual(s):
-    """Paragraphs in two languages side by side."""
+    """Set paragraphs in two languages side by side."""
     width = (FULL - GUTTER) // 2
     lines = [int(each) for each in s.random.integers(4, 9, 5)]
     for k, source in enumerate((LATIN, None)):
@@ -211,7 +211,7 @@ def bilingual(s):
 
 
 def sidebar(s):
-    """A wide column of text, and beside it a box of smaller print."""
+    """Set a wide column of text beside a box of smaller print."""
     s.put(" ".join(s.words(4)).strip("."), MARGIN, 160, 1.8 * s.size, s.bold)
     wide = 760
     y = 270
@@ -224,7 +224,7 @@ def sidebar(s):
 
 
 def contents(s):
-    """Chapters and their parts, with leaders to the numbers of their pages."""
+    """Set a table of contents: chapters and sections, with dot leaders to page numbers."""
     s.put("Contents", WIDTH / 2, 170, 2 * s.size, s.bold, "ms")
     y, page = 300, 1
     for row in range(30):
@@ -238,7 +238,7 @@ def contents(s):
 
 
 def poem(s):
-    """Stanzas with indented lines under a title, and numbers above them."""
+    """Set a poem: a title, and numbered stanzas with every second line indented."""
     s.put(" ".join(s.words(3)).strip("."), WIDTH / 2, 170, 1.6 * s.size, s.bold, "ms")
     y = 280
     for number in ("I", "II", "III", "IV"):
@@ -252,7 +252,7 @@ def poem(s):
 
 
 def footnotes(s):
-    """A running head, two paragraphs, and smaller notes below a short rule."""
+    """Set a running head, two paragraphs, and footnotes in small print below a short rule."""
     s.row([" ".join(s.words(3)).strip("."), "117"], [MARGIN, WIDTH - MARGIN], 110, ["ls", "rs"],
           size=0.9 * s.size)  # fmt: skip
     y = 210
@@ -270,7 +270,7 @@ MEDIA = ("flat", "scanned", "photographed")
 
 
 def page_of(layout, medium, seed):
-    """Return a typeset page and its lines."""
+    """Return a typeset page and the texts of its lines in reading order."""
     sheet = Sheet(seed)
     layout(sheet)
     page = Page(np.asarray(sheet.image), INCH_MM / DPI)

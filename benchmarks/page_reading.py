@@ -1,8 +1,8 @@
-"""Text, order and cost of pages as read, beside plain Tesseract on the same pages.
+"""Comparison of SmartTouch with Tesseract on the same pages: text, reading order and CPU time.
 
-Run ``python -m benchmarks.page_reading --seed N --jobs 2``: eleven layouts, flat, scanned
-and photographed. With ``--folder DIR``: pages whose text is in ``PAGE.txt`` (or
-``PAGE.gold.txt``) beside them; those without it are compared with Tesseract's.
+``python -m benchmarks.page_reading --seed N --jobs 2`` reads eleven layouts, flat, scanned and
+photographed. ``--folder DIR`` reads the pages of a folder. Their true text is in ``PAGE.txt`` or
+``PAGE.gold.txt``; a page without such a file is compared with Tesseract's text.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from smarttouch.reading.recognition import RecognitionOptions, recognized_lines,
 
 @dataclass(frozen=True)
 class Figures:
-    """What was measured on a page: ours, then Tesseract's; order is NaN without known lines."""
+    """Results of a page, as pairs (SmartTouch, Tesseract); order is NaN if lines are unknown."""
 
     name: str
     medium: str
@@ -40,20 +40,20 @@ class Figures:
 
 
 def cpu_s():
-    """Return the processor time of this process and of the programs that it started."""
+    """Return the CPU time of this process and of its finished child processes."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
 
 
 def ours(page):
-    """Return the text of a page."""
+    """Return the text of a page as SmartTouch reads it."""
     options = RecognitionOptions()
     prepared = upright_page(1, page, options, lambda _: None)
     return "\n".join(text for _, text in recognized_lines(prepared, options, lambda _: None))
 
 
 def tesseracts(page):
-    """Return the text of a page by plain Tesseract, on one thread as ours."""
+    """Return the text of a page as Tesseract reads it by itself, on one thread."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "page.png")
         cv2.imwrite(str(path), page.grey, [cv2.IMWRITE_PNG_COMPRESSION, 0])
@@ -65,12 +65,12 @@ def tesseracts(page):
 
 
 def plain(text):
-    """Return a text without leaders and rules."""
+    """Return a normalized text without dot leaders and rules."""
     return normalize(re.sub(r"([.·…,:_]\s*){3,}", " ", text))
 
 
 def order_of(pieces, text):
-    """Return Kendall's tau of the places where most words of each line are found in a text."""
+    """Return how well a text keeps the order of lines (Kendall's tau); lines are found by words."""
     read = plain(text).split()
     places = []
     for piece in pieces:
@@ -84,7 +84,7 @@ def order_of(pieces, text):
 
 
 def measured(name, medium, page, truth, pieces=()):
-    """Return the figures of a page; without a truth, what Tesseract reads is it."""
+    """Return the results of a page; without a true text, Tesseract's text is the reference."""
     marks, texts = [cpu_s()], []
     for read in (ours, tesseracts):
         texts.append(read(page))
@@ -95,14 +95,14 @@ def measured(name, medium, page, truth, pieces=()):
 
 
 def typeset(task):
-    """Return the figures of a layout, medium and seed."""
+    """Return the results of the typeset page of a layout, medium and seed."""
     layout, medium, seed = task
     page, pieces = page_of(layout, medium, seed)
     return measured(layout.__name__, medium, page, "\n".join(pieces), pieces)
 
 
 def real(path):
-    """Return the figures of a file; None if it is not a page."""
+    """Return the results of the first page of a file; None if the file cannot be opened."""
     try:
         with Document(path) as document:
             page = document.page(0)
@@ -114,7 +114,7 @@ def real(path):
 
 
 def main():
-    """Print a line for each page, and one for each medium."""
+    """Print the results of each page, and a summary of each medium."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seed", type=int, nargs="+", default=[0])
     parser.add_argument("--jobs", type=int, default=1)
@@ -128,9 +128,10 @@ def main():
         for each in filter(None, pool.map(work, tasks)):
             found.append(each)
             print(
-                f"{each.name:18s}{each.medium:13s} error {each.error[0]:.3f} ({each.error[1]:.3f})"
-                f" order {each.order[0]:.3f} ({each.order[1]:.3f})"
-                f" time {each.cpu_s[0] / each.cpu_s[1]:.2f}",
+                f"{each.name:18s}{each.medium:13s} (Tesseract in brackets): "
+                f"error {each.error[0]:.3f} ({each.error[1]:.3f}), "
+                f"order {each.order[0]:.3f} ({each.order[1]:.3f}), "
+                f"CPU time relative to Tesseract {each.cpu_s[0] / each.cpu_s[1]:.2f}",
                 flush=True,
             )
     for medium in dict.fromkeys(each.medium for each in found):
@@ -141,10 +142,11 @@ def main():
         )
         nine = np.quantile(error, 0.9, axis=0, method="higher")
         print(
-            f"{medium}, {len(figures)} pages (Tesseract): mean error {error[:, 0].mean():.3f} "
-            f"({error[:, 1].mean():.3f}), median {np.median(error[:, 0]):.3f}, nine of ten at "
-            f"most {nine[0]:.3f}; order {order[:, 0].mean():.3f} ({order[:, 1].mean():.3f}); "
-            f"time {np.median(cost[:, 0] / cost[:, 1]):.2f}"
+            f"{medium}, {len(figures)} pages (Tesseract in brackets): mean error "
+            f"{error[:, 0].mean():.3f} ({error[:, 1].mean():.3f}), median error "
+            f"{np.median(error[:, 0]):.3f}, 90 % quantile {nine[0]:.3f}; mean order "
+            f"{order[:, 0].mean():.3f} ({order[:, 1].mean():.3f}); "
+            f"median CPU time relative to Tesseract {np.median(cost[:, 0] / cost[:, 1]):.2f}"
         )
 
 

@@ -1,6 +1,6 @@
-"""Time from a frame to bytes, beside the same chain written the plain way.
+"""Time from a frame to the bytes for a board, compared with a minimal chain in OpenCV and NumPy.
 
-Each figure is a time on the machine at hand; both chains take turns in one run.
+Times depend on the computer. Both chains take turns in one run, so that they can be compared.
 """
 
 import statistics
@@ -28,7 +28,7 @@ FULL_NS = 10**9
 
 
 def grid_profile(side):
-    """The default profile with side x side of its electrodes, which see the same print."""
+    """Return the default profile with side x side electrodes over the same field of view."""
     profile = load_profile("electric-mouse")
     table = profile.model_dump()
     table["array"] |= {"rows": side, "columns": side}
@@ -37,7 +37,7 @@ def grid_profile(side):
 
 
 def balanced_weights(side):
-    """Kernels of the right shape: their values do not change the time."""
+    """Return kernels of the right shape; their values do not affect the time."""
     count = side * side
     weights = np.full((count, count), 1 / (count - 1), np.float32)
     np.fill_diagonal(weights, -1)
@@ -45,7 +45,7 @@ def balanced_weights(side):
 
 
 def letter(height, width, right=0.0, down=0.0):
-    """An upper case letter that fills most of the field, so many of 640 x 480 pixels moved."""
+    """Return an image of a letter; ``right`` and ``down`` shift it by pixels of 640 x 480."""
     image = np.full((480, 640), 225, np.uint8)
     cv2.putText(image, "R", (130, 430), cv2.FONT_HERSHEY_SIMPLEX, 17, 35, 60)
     moved = np.array([[1, 0, right], [0, 1, down]], np.float32)
@@ -54,14 +54,14 @@ def letter(height, width, right=0.0, down=0.0):
 
 
 def strokes(height, width, count):
-    """The letter as it comes into the field and leaves it: so many images that all differ."""
+    """Return different images of a letter that moves through the field of view."""
     random = np.random.default_rng(0)
     places = np.linspace(-320, 320, count)
     return [letter(height, width, each, random.uniform(-20, 20)) for each in places]
 
 
 class Ours:
-    """Pipeline, safety and wire format, as the loop runs them for a board that keeps kernels."""
+    """Pipeline, safety gate and encoding, as in a run to a board that stores kernels."""
 
     def __init__(self, profile, bank, images, sharing):
         self.images = images
@@ -86,8 +86,7 @@ class Ours:
 
 
 class Plain:
-    """The same by OpenCV and numpy at once, as in an afternoon: no proof, no checksum, no limits
-    but the strongest current."""
+    """Minimal chain in OpenCV and NumPy: it limits single currents, without proof and checksum."""
 
     def __init__(self, side, images):
         self.images, self.side, self.count = images, side, 0
@@ -104,7 +103,7 @@ class Plain:
         currents = np.rint(amplitude[:, None] * self.weights[site]).astype(np.int16)
         currents[np.arange(len(site)), site] -= currents.sum(axis=1, dtype=np.int16)
         if np.abs(currents).max(initial=0) > 5000:
-            raise ValueError("too strong")
+            raise ValueError("a current exceeds the limit of 5,000 µA")
         return currents.tobytes()
 
 
@@ -114,7 +113,7 @@ class Plain:
     [(8, (64, 64), 600), (8, (480, 640), 300), (16, (64, 64), 300), (32, (64, 64), 60)],
 )
 def test_default_path(row, make_bank, quick, side, shape, frames):
-    """`auto` for a board that keeps kernels, images that all differ, beside a plain chain."""
+    """Each frame differs, so no chain can reuse results of the frame before."""
     frames = 3 if quick else frames
     profile, weights = grid_profile(side), balanced_weights(side)
     bank = make_bank(weights, af_matrix(profile, targets(profile, Afferent.RA)))
@@ -128,22 +127,22 @@ def test_default_path(row, make_bank, quick, side, shape, frames):
     alone = in_turn({"ours": ours}, frames - 1)["ours"]
     each = [statistics.median(took[name]) for name in ("ours", "vectorized")]
     row(
-        "Frame to bytes on the default path, `--scan auto` to a board that keeps kernels, µs",
+        "Time from frame to bytes, `--scan auto`, to a board that stores kernels, µs",
         {
             "electrodes": f"{side * side:,}",
             "frame": f"{shape[1]} × {shape[0]}",
-            "alone: p50": f"{np.median(alone):,.0f}",
+            "SmartTouch by itself: p50": f"{np.median(alone):,.0f}",
             "p99": f"{np.quantile(alone, 0.99):,.0f}",
-            "least": f"{min(alone):,.0f}",
-            "in turn: ours": f"{each[0]:,.0f}",
-            "vectorized plain chain": f"{each[1]:,.0f}",
-            "ours over it": f"{each[0] / each[1]:.1f}",
+            "minimum": f"{min(alone):,.0f}",
+            "in turn, medians: SmartTouch": f"{each[0]:,.0f}",
+            "minimal chain": f"{each[1]:,.0f}",
+            "ratio": f"{each[0] / each[1]:.1f}",
         },
     )
 
 
 def in_turn(chains, rounds):
-    """Return the times of each chain, µs; their first calls are not counted."""
+    """Return the times of chains that take turns, µs, without the first call of each chain."""
     took = {name: [] for name in chains}
     for turn in range(rounds + 1):
         for name, chain in chains.items():

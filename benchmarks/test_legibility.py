@@ -1,9 +1,8 @@
-"""Share of printed pages that can be read from the delivered pulses.
+"""Character error rates of text that Tesseract recognizes in delivered pulses and on pages.
 
-Pages at 10, 12 and 14 points, clean, turned, unevenly lit and noisy, and the page of scikit-image,
-felt in 8, 12, 16 and 24 rows, plain and graded, and graded with shared slots: character
-error rates, beside those of the page itself (see
-``smarttouch simulate page``).
+Printed pages have 10, 12 or 14 points, and are clean, rotated, unevenly lit or noisy. One more page
+is the sample page of scikit-image. Arrays have 8, 12, 16 and 24 rows. Activation is plain, graded,
+or graded with shared slots. ``smarttouch simulate page`` measures error rates of your own page.
 """
 
 import numpy as np
@@ -42,11 +41,11 @@ PAGES = {
 
 
 def page_file(folder, name, text):
-    """Print a page; return its file and what it says."""
+    """Write the image of a page to a file; return its path and the true text."""
     size_pt, damage = PAGES[name]
     path = folder / "page.png"
     if name == "scikit-image":
-        # Below these lines there is half of another: what is read of it counts as wrong.
+        # Below these lines, half of another line is visible. Text recognized in it is an error.
         Image.fromarray(data.page()).save(path)
         return path, SKIMAGE
     font = "DejaVuSans" if "sans" in name else "DejaVuSerif"
@@ -56,7 +55,7 @@ def page_file(folder, name, text):
 
 
 def array_of(rows):
-    """Return a profile with so many rows at 2 mm; few columns are enough for what sweeps by."""
+    """Return a profile with this number of rows; 4 columns are enough because lines move past."""
     table = load_profile("electric-mouse").model_dump()
     table["array"] |= {"rows": rows, "columns": 8 if rows == 8 else 4}
     return profile_for_reading(Profile.model_validate(table))
@@ -65,7 +64,7 @@ def array_of(rows):
 @pytest.mark.parametrize("rows", ROWS)
 def test_legibility(rows, tmp_path, row, quick):
     if quick and rows != ROWS[0]:
-        pytest.skip("one size is every path")
+        pytest.skip("--quick runs only one size, because all sizes run the same code")
     profile = array_of(rows)
     bank = load_bank(profile)
 
@@ -81,5 +80,5 @@ def test_legibility(rows, tmp_path, row, quick):
             found = legibility_of_shapes(ReadingMaterial(str(path)), reading, truth)
             name_of_way = f"{'graded' if graded else 'plain'}{', shared slots' * bool(shared)}"
             cells[name_of_way] = f"{found.character_error_rate:.3f}"
-        known = {"rows": rows, "page": name, "itself": f"{found.page_error_rate:.3f}"}
-        row("Character error rates", known | cells)
+        known = {"rows": rows, "page": name, "on the page": f"{found.page_error_rate:.3f}"}
+        row("Character error rates, on the page and from pulses", known | cells)

@@ -1,10 +1,9 @@
-"""Share of time that a simulated reader stays on the line, with and without the cue to it.
+"""Share of time that a simulated reader stays on the line, with and without the line cue.
 
-The reader's finger moves right at 7 mm/s over a page, flat or turned by 5°, and starts in the
-middle of each line. Its height takes a random walk of 0.5 mm in the root of a second. The reader
-feels the cue when all electrodes of the first or the last row, and not of both, carry current.
-After 0.25 s the finger moves that way at 4 mm/s, for as long as the cue was felt. Otherwise it only
-drifts.
+The page is level or rotated by 5°. The finger starts at half the height of a line and moves right
+at 7 mm/s. Its vertical position drifts in a random walk of 0.5 mm per square root of a second. The
+cue is current on all electrodes of either the first or the last row. The reader responds to it
+after 0.25 s: the finger moves toward this row at 4 mm/s, for as long as the cue lasted.
 """
 
 import math
@@ -42,7 +41,7 @@ def page_of(name, tilt_deg=0.0):
 
 
 class Reader(PageSource):
-    """A finger that drifts and corrects; ``away_mm`` has its distance from the line."""
+    """Finger that drifts and follows the cue; ``away_mm`` records its distances from the line."""
 
     def __init__(self, page, profile, line, seed):
         super().__init__(page, profile, "reader", seed)
@@ -72,7 +71,7 @@ class Reader(PageSource):
         return None if self.x_mm > self.end_mm else super().read(time_ns)
 
     def feel(self, result):
-        """Notice which border carries current on all of its electrodes."""
+        """Record the cue of a step: -1 (first row, move up), 1 (last row, move down) or 0."""
         rows = result.delivered_ma.reshape(8, 8) > 0
         self.felt.append((result.input.time_ns, int(rows[-1].all()) - int(rows[0].all())))
 
@@ -90,8 +89,8 @@ def test_time_on_the_line(name, tilt_deg, row, quick):
             st.run(reader, "simulated:", line_cue=cue, listeners=[reader.feel])
             away_mm += reader.away_mm
         shares[cue] = np.mean(np.array(away_mm) < NEAR_MM)
-    known = {"page": name, "turned by": f"{tilt_deg}°"}
-    cells = {"without the cue": f"{shares[False]:.0%}", "with it": f"{shares[True]:.0%}"}
+    known = {"page": name, "rotation": f"{tilt_deg}°"}
+    cells = {"without the cue": f"{shares[False]:.0%}", "with the cue": f"{shares[True]:.0%}"}
     row("Time within 2 mm of the line", known | cells)
     assert shares[True] >= max(0.9, shares[False] + (0.5 if tilt_deg else -0.05))
 
@@ -110,5 +109,5 @@ def test_letters_are_as_legible(name, row, quick, tmp_path):
         )
         read = legibility_of_shapes(ReadingMaterial(str(path)), reading, text)
         rates[cue] = read.character_error_rate
-    cells = {"without the cue": f"{rates[False]:.3f}", "with it": f"{rates[True]:.3f}"}
+    cells = {"without the cue": f"{rates[False]:.3f}", "with the cue": f"{rates[True]:.3f}"}
     row("Character error rates of lines that fill the array", {"page": name} | cells)

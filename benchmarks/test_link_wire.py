@@ -1,7 +1,7 @@
-"""Bytes of a sequence as currents and as lists of kernels, and what wires make of them.
+"""Size of a sequence as currents and as lists of kernels, and sequence rates over wires.
 
-Rates over wires are computed from bytes: 10 bit times a byte at 921,600 Bd, and 1 MB/s. A sequence
-goes over the wire while the one before is scanned, so that the slower of the two counts.
+Rates are computed from sizes: a byte takes 10 bit times at 921,600 Bd, or 1 µs at 1 MB/s. A
+sequence is sent while the board scans the previous one, so the longer time limits the rate.
 """
 
 import re
@@ -25,7 +25,7 @@ PULSE_US, REST_US = 200, 100
 
 
 def packets(sequence, image):
-    """Return the bytes of a sequence on the wire, as currents and as lists of kernels."""
+    """Return the size of a sequence on the wire, in bytes: as currents, and as lists of kernels."""
     payloads = (encode_lists(sequence, 1, True, False, each, 1 << 24) for each in (None, image))
     return [
         len(encode(Message(MessageKind.SEQUENCE, 1, 1 << 63 | 1 << 31, 1, 1, each)))
@@ -45,14 +45,14 @@ def test_frames_of_the_electric_mouse(row, quick, scan):
         sequence = pipeline.process(Stimulus(active, 10**9 * count, 5.0)).sequence
         sequence = pipeline.process(Stimulus(active, 10**9 * (count + 1), 5.0)).sequence
         plain, listed = packets(sequence, image)
-        # Of a scan that goes as fast as its slots allow.
+        # Assume the fastest scan, in which slots follow each other without a pause.
         scan_s = sequence.slots * (PULSE_US + REST_US) / 1e6
         cells = {"scan": scan, "points": count, "slots": sequence.slots}
-        cells |= {"bytes of currents": plain, "bytes of lists": listed}
+        cells |= {"bytes as currents": plain, "bytes as lists": listed}
         for wire, rate in WIRES.items():
             for form, size in (("currents", plain), ("lists", listed)):
-                cells[f"{form}: a second at {wire}"] = f"{1 / max(size / rate, scan_s):.1f}"
-        row("A sequence on the wire", cells)
+                cells[f"{form}: Hz at {wire}"] = f"{1 / max(size / rate, scan_s):.1f}"
+        row("Size and rate of sequences on the wire, as currents and as lists of kernels", cells)
         assert scan != "points" or count < 64 or plain / listed >= 25
 
 
@@ -64,15 +64,15 @@ def test_instructions_on_a_cortex_m3(row):
     command = ["qemu-system-arm", "-M", "mps2-an385", "-kernel", image, "-display", "none",
                "-monitor", "none", "-serial", "stdio", "-serial", "null", "-icount", "shift=0",
                "-semihosting"]  # fmt: skip
-    # Packets of the board are between its lines of text.
+    # The board also sends binary packets, between its lines of text.
     said = subprocess.run(command, capture_output=True, timeout=120).stdout.decode("latin-1")
     found = re.findall(r"kernels, deliver, check, sequence (\d+) (\d+) (\d+)", said)
     assert len(found) == 5
     for kernels, *counts in found:
         for what, instructions in zip(("deliver", "check"), counts, strict=True):
             row(
-                "Instructions of a slot on a Cortex-M3, -O2, 64 electrodes",
-                {"what": what, "kernels": kernels, "instructions": instructions,
-                 "slots a second at 100 MHz, one a cycle": round(1e8 / int(instructions)),
-                 "code of the image, bytes": code},
+                "Instructions per slot on a Cortex-M3, -O2, 64 electrodes",
+                {"task": what, "kernels": kernels, "instructions": instructions,
+                 "slots/s at 100 MHz, one instruction a cycle": round(1e8 / int(instructions)),
+                 "code of the firmware, bytes": code},
             )  # fmt: skip

@@ -1,6 +1,6 @@
-"""Two hundred simulated subjects for each procedure: bias, spread, trials, coverage.
+"""Recovery of the thresholds of 200 simulated subjects with each procedure.
 
-Errors are natural logarithms of estimate over truth, so nearly parts of the threshold.
+An error is the natural logarithm of estimated over true threshold, nearly the relative error.
 """
 
 import numpy as np
@@ -14,11 +14,11 @@ from tests.experiments.test_procedures import AS_USED, recover
 def test_recovery(task, name, row, quick, runs):
     subjects = 12 if quick else runs or 200
     errors, held, trials = recover(task, name, subjects)
-    row("Simulated subjects", {
+    row("Recovered thresholds of simulated subjects", {
         "task": task, "procedure": name, "trials": f"{np.mean(trials):.1f}",
-        "without threshold": subjects - len(errors),
-        "bias, SD": f"{np.mean(errors):+.3f}, {np.std(errors):.3f}",
-        "95 % interval holds": f"{np.mean(held):.3f}",
+        "subjects without threshold": subjects - len(errors),
+        "mean error, SD": f"{np.mean(errors):+.3f}, {np.std(errors):.3f}",
+        "share of 95 % intervals with the truth": f"{np.mean(held):.3f}",
     })  # fmt: skip
     assert abs(np.mean(errors)) < (0.2 if quick else 0.05)
     assert np.mean(held) > (0.5 if quick else 0.88)

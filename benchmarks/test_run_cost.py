@@ -1,9 +1,8 @@
-"""What a run costs on its default path: own work, waits, processor by rate, start, a slow computer.
+"""Cost of a run on the default path: processing, latency, CPU load, start, and a slow computer.
 
-Every run is `smarttouch live` in a process of its own, with `--scan auto`, to `emulator:`. The
-share of a core is the program's own in the last four fifths of its time, without the emulator's. A
-slow computer is one core that others use four fifths of: program and emulator run on it beside four
-processes that only burn time.
+Each run is a separate process of `smarttouch live` to `emulator:`, with `--scan auto`. CPU load is
+that of the program without the emulator, in the last four fifths of the run. To simulate a slow
+computer, program and emulator share one core with four processes that only consume CPU time.
 """
 
 import contextlib
@@ -36,14 +35,14 @@ def seconds_of(quick, seconds):
 
 
 def cpu_s(pid):
-    """Return the processor time of a process and its threads so far, s."""
+    """Return the CPU time that a process and its threads have used so far, s."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / TICKS
 
 
 @contextlib.contextmanager
 def at_a_terminal():
-    """Yield a terminal of 100 x 30 whose output is thrown away, and how many bytes it was."""
+    """Yield a pseudoterminal whose output is discarded, and a list with the number of its bytes."""
     master, slave = pty.openpty()
     os.set_blocking(master, True)
     count = [0]
@@ -63,7 +62,7 @@ def at_a_terminal():
 
 
 def ran(folder, seconds, *options, rate_hz=50):
-    """Run the program; return its figures, its share of a core and kB a second on the terminal."""
+    """Run the program; return its statistics, CPU load and output to the terminal in kB/s."""
     command = [PROGRAM, "live", TEXT, "--board", "emulator:", "--json", "run.json", *options]
     command += ["--set", f"rate_hz={rate_hz}", "--seconds", f"{seconds:g}"]
     environment = os.environ | {"TERM": "xterm-256color", "COLUMNS": "100", "LINES": "30"}
@@ -94,20 +93,20 @@ def quantiles_ms(durations):
 @pytest.mark.parametrize("way", WAYS)
 def test_a_run_by_what_follows_it(row, quick, tmp_path, rate_hz, way):
     if quick and (rate_hz, way) not in ((50, "quiet"), (200, "screen")):
-        pytest.skip("long only")
+        pytest.skip("--quick skips this case")
     seconds = seconds_of(quick, 20)
     found, share, kilobytes = ran(tmp_path, seconds, *WAYS[way], rate_hz=rate_hz)
     work = found["work_us"]
     row(
-        "A run to `emulator:` with `--scan auto`, by what follows it",
+        "Cost of a run to `emulator:` with `--scan auto`, by its output",
         {
-            "asked, Hz": rate_hz,
-            "with": way,
-            "sequences a second": f"{found['rate_hz']:.1f}",
-            "share of a core": f"{share:.1%}",
-            "own work, µs, p50 / p99": f"{work['p50']:.0f} / {work['p99']:.0f}",
-            "last byte to first pulse, ms": quantiles_ms(found["bytes_to_pulse_us"]),
-            "image to first pulse, ms": quantiles_ms(found["motion_to_pulse_us"]),
+            "requested rate, Hz": rate_hz,
+            "output": way,
+            "sequences per second": f"{found['rate_hz']:.1f}",
+            "CPU load": f"{share:.1%}",
+            "processing, µs, p50 / p99": f"{work['p50']:.0f} / {work['p99']:.0f}",
+            "last byte to first pulse, ms, p50 / p99": quantiles_ms(found["bytes_to_pulse_us"]),
+            "image to first pulse, ms, p50 / p99": quantiles_ms(found["motion_to_pulse_us"]),
             "terminal, kB/s": f"{kilobytes:.0f}",
         },
     )
@@ -117,7 +116,7 @@ def test_a_run_by_what_follows_it(row, quick, tmp_path, rate_hz, way):
 
 @pytest.mark.timeout(0)
 def test_start_to_the_first_sequence(row, quick):
-    """The first line of `--plain` comes when the board is open, just before the first sequence."""
+    """The program prints the first line of `--plain` just before the first sequence."""
     command = [PROGRAM, "live", "text:a", "--board", "emulator:", "--plain", "--seconds", "0.1"]
     took_s = []
     for _ in range(1 if quick else 10):
@@ -128,14 +127,14 @@ def test_start_to_the_first_sequence(row, quick):
             process.communicate()
         assert process.returncode == 0
     row(
-        "Start of the program to its first sequence, s",
-        {"least": f"{min(took_s):.2f}", "median": f"{statistics.median(took_s):.2f}"},
+        "Time from start of the program to its first sequence, s",
+        {"minimum": f"{min(took_s):.2f}", "median": f"{statistics.median(took_s):.2f}"},
     )
 
 
 @contextlib.contextmanager
 def busy(processes):
-    """Let as many other processes only burn time."""
+    """Run other processes that only consume CPU time."""
     with contextlib.ExitStack() as stack:
         for _ in range(processes):
             process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
@@ -148,9 +147,9 @@ def busy(processes):
 @pytest.mark.parametrize("way", ["quiet", "screen"])
 def test_a_slow_computer(row, quick, tmp_path, way):
     if quick and way != "quiet":
-        pytest.skip("long only")
+        pytest.skip("--quick skips this case")
     before = os.sched_getaffinity(0)
-    # Children inherit it.
+    # Child processes inherit the CPU affinity.
     os.sched_setaffinity(0, {min(before)})
     try:
         with busy(0 if quick else 4):
@@ -158,13 +157,13 @@ def test_a_slow_computer(row, quick, tmp_path, way):
     finally:
         os.sched_setaffinity(0, before)
     row(
-        "A fifth of one core for program and emulator, 50 sequences a second asked",
+        "A fifth of one core for program and emulator, 50 sequences per second requested",
         {
-            "with": way,
-            "sequences a second": f"{found['rate_hz']:.1f}",
-            "share of the core": f"{share:.1%}",
-            "image to first pulse, ms": quantiles_ms(found["motion_to_pulse_us"]),
-            "dropped as too late": found["dropped_late"],
+            "output": way,
+            "sequences per second": f"{found['rate_hz']:.1f}",
+            "CPU load": f"{share:.1%}",
+            "image to first pulse, ms, p50 / p99": quantiles_ms(found["motion_to_pulse_us"]),
+            "dropped because late": found["dropped_late"],
             "restarts": found["restarts"],
         },
     )

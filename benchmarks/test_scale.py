@@ -1,4 +1,4 @@
-"""Large arrays: what grows, and what of it is there."""
+"""Runs with large arrays: sequence rate, slots, processing time and late sequences."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 
 
 def square(side, neighbors):
-    """Return an electric mouse of another size, which sees as many pixels as it has electrodes."""
+    """Return the electric mouse with side x side electrodes, and as many sensor pixels."""
     mouse = st.load_profile("electric-mouse")
     sees = {"sensor_rows": side, "sensor_columns": side, "magnification": 0.4 * side}
     parts = {
@@ -26,7 +26,7 @@ def square(side, neighbors):
 
 
 class Specks(OpticalSource):
-    """Frames in which one of 24 electrodes or so has a dark speck before it, without end."""
+    """Endless source of frames with a dark speck for about one electrode in 24."""
 
     def __init__(self, side):
         super().__init__("specks")
@@ -57,18 +57,18 @@ def test_a_large_array_runs(row, quick, large, board):
         run = Runner(source, display, config, force="fixed:0.9", load_kernels=lambda _: bank)
         found = run.run().figures
     row(
-        "Large arrays, RA, 10 sequences a second asked",
+        "Large arrays in RA mode, 10 sequences per second requested",
         {
             "electrodes": side * side,
             "board": board,
-            "sequences a second": f"{found['rate_hz']:.1f}",
-            "points": f"{found['slots'] / max(1, found['sequences']):.0f}",
-            "own work, ms, p50 / p99": " / ".join(
+            "sequences per second": f"{found['rate_hz']:.1f}",
+            "slots per sequence": f"{found['slots'] / max(1, found['sequences']):.0f}",
+            "processing, ms, p50 / p99": " / ".join(
                 f"{found['work_us'][key] / 1000:.1f}" for key in ("p50", "p99")
             ),
-            "dropped as too late": found["dropped_late"],
+            "dropped because late": found["dropped_late"],
         },
     )
     assert found["slots"]
-    # Nothing but the emulator counts violations.
+    # Only the emulator counts violations; with `memory:` the count is None.
     assert found["emulator_violations"] in (None, 0)

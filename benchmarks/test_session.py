@@ -1,8 +1,8 @@
-"""Patterns of a session: from the call to the first pulse of the emulated board.
+"""Latency of patterns in a session, until the first pulse on the emulated board.
 
-After one rise, patterns of half a second, one after another; the board's clock says when a pulse
-began. Of a feed, from the arrival of a packet (UDP, from another process, each another point) to
-its first pulse, by `Session.put`.
+One test shows patterns of half a second, and measures from the call. The other test receives UDP
+packets from another process, passes their patterns to `Session.put`, and measures from the arrival
+of a packet. The board's clock tells when a pulse begins.
 """
 
 import asyncio
@@ -33,9 +33,9 @@ def test_from_the_call_to_the_first_pulse(row, quick):
     whole = sum((each.sequences, each.intensity) == (25, 0.6) for _, each in found)
     assert whole == len(found)
     row(
-        "From the call of `show_async` to the first pulse on `emulator:`, 50 Hz, ms",
+        "Time from the call of `show_async` to the first pulse on `emulator:`, 50 Hz, ms",
         {
-            "patterns, all 25 sequences at their level": f"{whole} of {len(found)}",
+            "patterns with 25 sequences at full level": f"{whole} of {len(found)}",
             "p50": f"{np.median(late_ms):.1f}",
             "p95": f"{np.percentile(late_ms, 95):.1f}",
             "max": f"{late_ms.max():.1f}",
@@ -54,7 +54,7 @@ for number in range(count):
 
 
 class FirstPulses(st.Listener):
-    """When the first pulse of each pattern began, by `time.monotonic_ns`."""
+    """Listener that records the start of the first pulse of each pattern (`time.monotonic_ns`)."""
 
     def __init__(self):
         super().__init__()
@@ -101,9 +101,9 @@ def test_a_feed(row, quick, rate_hz):
         if first + number in pulses.began_ns
     ]
     row(
-        "From the arrival of a packet to its first pulse on `emulator:`, ms",
+        "Time from the arrival of a packet to its first pulse on `emulator:`, ms",
         {
-            "packets a second": rate_hz,
+            "packets per second": rate_hz,
             "packets": count,
             "delivered": f"{len(late_ms) / count:.0%}",
             "p50": f"{np.median(late_ms):.1f}",

@@ -1,4 +1,4 @@
-"""What a finger of a study costs."""
+"""Time to simulate one finger of a study."""
 
 import pytest
 
