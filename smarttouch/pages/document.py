@@ -40,7 +40,7 @@ MOST_RENDERED_PIXELS = 36_000_000
 resolution, because most of them are scans whose PDF counts each pixel as a point (1/72 inch)."""
 GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
 _LEAST_BELIEVED_DPI = 50.0
-"""Lowest plausible resolution. Images of unknown resolution state less, or 72, by default."""
+"""Lowest plausible resolution. Many programs write less, or 72, if the resolution is unknown."""
 
 
 class LockedError(PageError):
@@ -173,8 +173,8 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
     return pdf
 
 
-_STAMP = 100  # up to this number, rotated characters are a stamp; with more, rotate the page
-_LEVEL = 10.0  # angle to horizontal or vertical, degrees, from which text is slanted
+_STAMP = 100  # number of rotated characters above which the page is rotated; fewer are a stamp
+_LEVEL = 10.0  # text at a larger angle to horizontal and vertical, degrees, is slanted
 _FINE = 1000.0  # integer coordinates are requested from PDFium in 1/1000 point
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
 _SPACES = _NONE, _MOVED, _MADE, _TYPED = ("", "\n", "\t", " ")
@@ -219,10 +219,10 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
                 space = _NONE
 
 
-_ABOVE, _AROUND = 0.95, 0.3  # reach of a letter above and below its baseline, in letter sizes
+_ABOVE, _AROUND = 0.95, 0.3  # extent of a letter above and below the baseline, in letter sizes
 _FAINT = 12  # contrast, gray levels, below which print is invisible
 _MOST_UNKNOWN = 0.05  # largest share of undefined characters in a text
-_MOSTLY = 0.5  # largest length of printed lines without text, relative to those with text
+_MOSTLY = 0.5  # largest length of lines that the text lacks, relative to the lines of the text
 _ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
 _BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # a bullet in a symbol font
 
@@ -246,25 +246,29 @@ def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
         2 * len(turned) > len(seen) or unknown > _MOST_UNKNOWN * len(seen)
         or missing > _MOSTLY * read
     ):  # fmt: skip
-        reason = "most of the text is rotated or unreadable, or much print has no text"
-        return replace(page, notes=(f"{reason}: the picture is recognized instead",))
+        reason = "the file's text is mostly rotated or unreadable, or lacks much of the print"
+        return replace(page, notes=(f"{reason}: the picture of the page is recognized instead",))
     stamps = "".join((" " if sign.space else "") + sign.text for sign in turned).strip()
     notes = {
         DOUBTFUL: any(line.is_doubtful for line in ordered),
         f"rotated text is left out: {stamps}": turned,
         f"text that is not visible is left out (characters: {hidden})": hidden,
-        f"print that is not text in the file is left out (lines: {len(others)})": others,
+        f"print that the file's text lacks is left out (lines: {len(others)})": others,
     }
     said = tuple(note for note, is_so in notes.items() if is_so)
     return replace(page, lines=tuple(lines), words=tuple(texts), notes=said)
 
 
-_SMALLER, _SHIFTED, _NEAR = 0.95, (0.1, 0.8), 0.55
-"""Super- and subscripts: largest size, distances from the baseline, and gap to the word."""
+_SMALLER = 0.95  # largest size of a superscript or subscript, relative to the text
+_SHIFTED = (0.1, 0.8)  # range of distances of sub- and superscripts from the baseline, letter sizes
+_NEAR = 0.55  # largest gap between a sub- or superscript and the word, in letter sizes
 _INITIAL = 1.8  # smallest size of a drop cap relative to the text
-_TOUCHING, _FARTHEST = 0.3, 2.5  # smallest gap of a space at a line break; gap that ends a segment
-_SPACED, _WIDER = 0.8, 1.5  # largest letter spacing; smallest gap of words in letter spacings
-_EVEN, _EACH = 0.25, 0.4  # justified text: largest difference of spaces; their width per space
+_TOUCHING = 0.3  # smallest gap at a line break of the file that is a space, in letter sizes
+_FARTHEST = 2.5  # largest gap at a space within a segment, in letter sizes
+_SPACED = 0.8  # largest letter spacing, in letter sizes
+_WIDER = 1.5  # smallest gap between letter-spaced words, relative to the letter spacing
+_EVEN = 0.25  # largest difference between the spaces of a justified line, in letter sizes
+_EACH = 0.4  # largest space in a justified line, in letter sizes, divided by the number of words
 
 
 def _segments(signs: list[Segment]) -> list[Segment]:
@@ -349,9 +353,10 @@ def _erased(page: Page, signs: list[Segment], point_mm: float) -> tuple[list[Seg
     return seen, replace(page, grey=grey)
 
 
-_COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 4
-"""Values for finding print without text: pixel size and range of letter heights, mm; smallest
-contrast, gray levels; smallest number of letters."""
+_COARSE_MM = 0.25  # pixel size of the image in which print without text is searched
+_LETTERS_MM = (0.8, 12.0)  # range of letter heights in print without text
+_CONTRAST = 60  # smallest contrast of print without text, gray levels
+_FEWEST_SPOTS = 4  # smallest number of letters in print without text
 
 
 def _print_on(page: Page) -> list[TextLine]:

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 Grey = NDArray[np.uint8]
 
-_WINDOW_PX = 41  # window of a closing: wider than strokes of text, so that only paper is left
-_PAPER = 210.0  # gray level to which paper is normalized; bright grains are above
+_WINDOW_PX = 41  # width of dark spots that are removed to find the paper; strokes are narrower
+_PAPER = 210.0  # gray level to which paper is normalized; bright grains have higher levels
 _CONTRAST, _PALE = 0.12, 0.2  # smallest contrast of ink, and of pale print, relative to paper
 _GRAINS, _FEWEST = 6.0, 2e-4
 """Smallest contrast of ink, in standard deviations of paper grain; smallest share of ink pixels."""
-_CALM, _GRAINY = 5.0, 9.0
-"""Grain of paper, gray levels, up to which the threshold follows nearby ink, and from which not."""
+_CALM = 5.0  # largest grain of paper, gray levels, at which the threshold follows nearby ink
+_GRAINY = 9.0  # grain, gray levels, from which the threshold does not follow nearby ink
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +31,8 @@ class Paper:
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     """Separate ink from paper in an image, (H, W) uint8; by default, detect light print on dark.
 
-    The threshold is near the mean of paper and ink. On paper with little grain, it follows the ink
-    nearby. Pale print beside black print is ink only on digital pages, which have no grain.
+    The threshold is near the mean of paper and ink. On paper with little grain, the mean is local.
+    Pale print beside black print counts as ink only on digital pages, which have no grain.
     """
     light_on_dark = is_light_on_dark(grey) if light_on_dark is None else light_on_dark
     grey = ~grey if light_on_dark else grey
@@ -48,7 +48,7 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     counts = np.bincount(pixels, minlength=256)
     bright = np.where(level > 0.7 * _PAPER, counts, 0).cumsum()
     low, middle, high = np.interp(np.array([1, 2, 3]) / 4 * bright[-1], bright, level + 0.5)
-    grain = max((high - low) / 1.349, 1.0)  # standard deviation of paper, by its quartiles
+    grain = max((high - low) / 1.349, 1.0)  # standard deviation of gray levels, from quartiles
     sure, pale = (middle - max(part * middle, _GRAINS * grain) for part in (_CONTRAST, _PALE))
     otsu, _ = cv2.threshold(pixels, 0, 255, cv2.THRESH_OTSU)
     first = int(min(otsu if grain > 1 else max(otsu, pale), middle - 4 * grain))
@@ -60,7 +60,7 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
         white = np.full_like(grey, 255)
         return Paper(white < 255, white, light_on_dark)
     window = (round(20 / factor) | 1,) * 2
-    # local mean depth of ink, weighted by depth, so that pale edges of strokes count little
+    # Average the depth of ink with depth as the weight, so that pale edges of strokes count little.
     depth = np.where(flat <= first, np.float32(middle) - flat, np.float32(0))
     typical = np.vdot(depth, depth) / depth.sum()
     around = cv2.blur(depth * depth, window) + 0.02 * typical**2
@@ -82,7 +82,7 @@ def _find_paper(small: Grey, side: float) -> Grey:
     """Estimate the gray level of the paper under the ink, (h, w); 0 where there is no paper."""
     near = _closed(small, side)
     far = cv2.resize(_closed(near[::4, ::4], 5 * side / 4), near.shape[::-1])
-    # A dark area wider than the window is large print, unless it reaches the edge.
+    # A dark area wider than ``side`` is large print, unless the area reaches the page's edge.
     count, labels = cv2.connectedComponents((near < 0.4 * far).view(np.uint8))
     at_edge = np.arange(count) < 1
     for side_labels in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):

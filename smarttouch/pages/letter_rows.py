@@ -1,5 +1,5 @@
-"""Rows of letters: connected components of ink, linked from left to right within columns. Each row
-has a measured baseline and x-height, from which follows whether it is text."""
+"""Rows of letters: connected components of ink, linked from left to right within columns. The
+measured heights and strokes of a row show whether the row is text."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,18 +15,17 @@ Floats = NDArray[np.float64]
 Ink = NDArray[np.bool_]
 Indices = NDArray[np.int_]
 
-_LEAST_SIDE, _LARGEST_PART = 3, 0.25
-"""Smallest height of a letter, px, and largest height of a letter, relative to the page's shorter
-side."""
+_LEAST_SIDE = 3  # smallest height of a letter, px
+_LARGEST_PART = 0.25  # largest height of a letter, relative to the page's shorter side
 _DOT = 0.7  # share of ink in its box from which a component is a dot
 _RULE = 12.0  # ratio of length to thickness above which a component is a rule
 _LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the typical height
 _COMMA = (0.8, 0.5)  # largest height and width of a comma or quote, in typical heights
 _LONGEST = 40.0  # largest ratio of length to height of a word with touching letters
 _UNDERLINE, _THIN = 3.0, 0.3  # underline: smallest length, largest thickness, in letter heights
-_TWO_LINES, _LEAST_LINE = 1.7, 0.6
-"""Smallest heights, in letter heights, of a component that may span two lines, and of a line."""
-_VALLEY = 0.25  # largest ink in the gap between two touching lines, relative to either line
+_TWO_LINES = 1.7  # smallest height of a component that may span two lines, in letter heights
+_LEAST_LINE = 0.6  # smallest height of a line in a component of two lines, in letter heights
+_VALLEY = 0.25  # largest ink in a pixel row between two lines, relative to the lines' fullest rows
 
 
 def weighted_median(values: Indices | Floats, weight: Floats) -> float:
@@ -47,12 +46,10 @@ class Components(NamedTuple):
 
     @property
     def height(self) -> Indices:
-        """Heights, (N,) px."""
         return self.bottom - self.top
 
     @property
     def width(self) -> Indices:
-        """Widths, (N,) px."""
         return self.right - self.left
 
     @property
@@ -136,17 +133,17 @@ def part_lines(ink: Ink, components: Components, height: float) -> Ink:
 
 
 _NEIGHBORS = 10  # number of candidates for the next letter
-_WIDEST_GAP = 3.8  # largest gap in a row, in heights of the taller letter: a dash and two spaces
+_WIDEST_GAP = 3.8  # largest gap in a row, in heights of the taller letter; a dash may be in the gap
 _LEAST_OVERLAP = 0.45  # smallest vertical overlap in a row, relative to the shorter letter
-_LARGEST_RATIO = 2.8  # largest ratio of letter heights in a row; a parenthesis has 2.5 x-heights
+_LARGEST_RATIO = 2.8  # largest ratio of letter heights in a row; parentheses are 2.5 x-heights tall
 _LEAST_SPACE = 0.35  # narrowest space between words, in letter heights
-_LANE_PX = 3.0  # letter height in merged pixel rows, in which lanes are searched
-_NARROWEST, _LANES = 0.75, ((1.25, 15.0), (1.9, 8.0))
-"""Smallest width of a lane (white gap between columns), in letter heights; and pairs of smallest
-width, in typical spaces between words, and smallest length, in letter heights."""
-_LANE_REACH, _SHORT_LINES, _LANE_GAP = 16.0, 6.5, 25.0
-"""Largest distance from a lane to the print on both sides, largest height of gaps in this print,
-and largest height of gaps in a lane, in letter heights."""
+_LANE_PX = 3.0  # height of letters, px, in the reduced image in which lanes are searched
+_NARROWEST = 0.75  # smallest width of a lane (white gap between columns), in letter heights
+_LANES = ((1.25, 15.0), (1.9, 8.0))
+"""Two kinds of lanes: smallest width, in word spaces, and smallest length, in letter heights."""
+_LANE_REACH = 16.0  # largest distance from a lane to the print on each side, in letter heights
+_SHORT_LINES = 6.5  # largest height of a gap in the print beside a lane, in letter heights
+_LANE_GAP = 25.0  # largest height of a gap in a lane, in letter heights
 
 
 def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[Components]:
@@ -164,7 +161,7 @@ def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[
     middle = (letters.top[first] + letters.bottom[first]) // 2
     passed = (np.cumsum(mask, axis=1, dtype=np.int32) for mask in (walls, lanes))
     walled, laned = (count[middle, end] > count[middle, start] for count in passed)
-    # A lane ends a row only at a gap that is wide for its letters: headlines have wide gaps.
+    # Letters of a headline have gaps as wide as lanes: compare each gap with the letter heights.
     wide = 2 * gap > _NARROWEST * (letters.height[first] + letters.height[second])
     free = ~(walled | (laned & wide))
     following = dict(zip(first[free].tolist(), second[free].tolist(), strict=True))
@@ -193,7 +190,7 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
         width = max(3, round(max(_NARROWEST * height, spaces * space)))
         lane = np.ones((round(length * height / part), width), np.uint8)
         lanes |= cv2.morphologyEx(white.view(np.uint8), cv2.MORPH_OPEN, lane) > 0
-    # Extend lanes across rows where a column beside them has a gap.
+    # Close white gaps in lanes. Beside such a gap, a column has no print.
     longer = np.ones((round(_LANE_GAP * height / part) | 1, 1), np.uint8)
     within = cv2.morphologyEx(lanes.view(np.uint8), cv2.MORPH_CLOSE, longer, borderValue=0)
     wide = cv2.morphologyEx(1 - page, cv2.MORPH_OPEN, np.ones((3, width), np.uint8))
@@ -202,8 +199,8 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
 
 
 def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
-    """Return links from letters to the next letters on the right, cheapest first: the indices of
-    both letters, and the gaps between them in px, (L,) each."""
+    """Link letters to the next letters on the right, links of lowest cost first. Return the
+    indices of the left and right letters, and the gaps between both, px, (L,) each."""
     height, middle = letters.height, (letters.top + letters.bottom) / 2
     # Vertical distance counts twice in the search for near letters.
     starts = np.column_stack([letters.left, 2 * middle]).astype(np.float32)
@@ -230,23 +227,24 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     return first[links], second[links], gap[links]
 
 
-_WORD, _PIECE = 1.3, 0.6  # width from which letters touch; width of their pieces; in letter heights
+_WORD = 1.3  # width, in letter heights, above which a component is several touching letters
+_PIECE = 0.6  # width of the pieces into which touching letters are divided, in letter heights
 _DEGREES = (8.0, 20.0, 40.0)
 """Smallest lengths of rows, in letter heights, for baselines of polynomial degree 1, 2 and 3."""
 _DESCENDING = 2.5  # weight of deviations below a baseline
 _ROUNDS = 5  # iterations of the robust fit
 _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # candidate x-heights, in letter heights
-_NEAR = (0.1, 0.5)  # tolerance of equal heights: share of the x-height, plus pixels
+_NEAR = (0.1, 0.5)  # tolerance of heights: a part in x-heights plus a part in px
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of ascender height and descender depth from the baseline, in x-heights."""
-_UNDECIDED = 0.3  # share of letters ending above a baseline, from which it is too low
-_STROKES = (0.75, 2.9)  # range for text of strokes per x-height of length; print has 0.9 to 1.9
+_UNDECIDED = 0.3  # share of letters that end above a baseline from which the baseline is too low
+_STROKES = (0.75, 2.9)  # range of `Baseline.strokes` in text; usual print has 0.9 to 1.9
 _TOUCHING = 1.3  # median width of components, in x-heights, from which letters touch
-_ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.65, 0.52, 0.8
-"""Smallest share of letters at typical heights: normally, if letters touch, and if few letters."""
-MANY, _SOLID = 8, 0.75
-"""Number of letters from which a row alone shows whether it is text. Share of ink in its box from
-which a component as wide as high is a disc or a square."""
+_ON_LEVELS = 0.65  # smallest share of letters with typical heights in a row of text
+_TOUCHING_ON_LEVELS = 0.52  # smallest share of letters with typical heights if letters touch
+_FEW_ON_LEVELS = 0.8  # smallest share of letters with typical heights if the row has few letters
+MANY = 8  # with this many letters, a row shows by itself whether it is text
+_SOLID = 0.75  # smallest share of ink in the box of a disc or a square
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,11 +254,11 @@ class Baseline:
     letters: Components
     left: float
     right: float
-    curve: Floats  # (D,) coefficients of y as a polynomial of the distance from left, lowest first
+    curve: Floats  # (D,) polynomial coefficients, lowest first: y at a distance from ``left``
     x_height: float
     rise: Floats  # (P,) heights above the baseline, of letters or pieces of words
     fall: Floats  # (P,) depths below the baseline
-    strokes: float  # strokes crossed at half x-height, per x-height of length
+    strokes: float  # number of strokes at half x-height, divided by the length in x-heights
 
     def at(self, x: NDArray[np.float64]) -> Floats:
         """Return y of the baseline at x, linearly extrapolated beyond the row's ends."""
@@ -288,8 +286,7 @@ class Baseline:
 
     @property
     def on_levels(self) -> float:
-        """Share of letters with tops at typical heights, or share of letters with bottoms at
-        typical heights: the smaller of the two."""
+        """Share of letter tops at typical heights or, if smaller, share of letter bottoms."""
         near = _NEAR[0] * self.x_height + _NEAR[1]
         deep = (self.fall > _DEEP[0] * self.x_height) & (self.fall < _DEEP[1] * self.x_height)
         low = (np.abs(self.fall) < near) | deep
@@ -300,8 +297,8 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     """Measure a row of letters in ``ink``, (H, W).
 
     The baseline is a smooth curve through the lower ends of most letters. The x-height is chosen so
-    that most letters have x-height or ascender height. The shortest rows get ``slope``, the
-    slope of the surrounding lines.
+    that most letters have x-height or ascender height. A very short row gets ``slope``, the slope
+    of the lines around the row.
     """
     left, right, height = letters.left.min(), letters.right.max(), letters.usual_height
     x, top, bottom = _pieces(ink, letters, height)
@@ -311,7 +308,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     off = bottom - polynomial.polyval(x - left, curve)
     above = off < -_NEAR[0] * height - _NEAR[1]
     if above.mean() > _UNDECIDED:
-        # The curve follows descenders: raise it to the letters that end above it.
+        # Many letters end above the curve, so the curve follows descenders: raise the curve.
         curve[0] += np.median(off[above])
     base = polynomial.polyval(x - left, curve)
     rise = base - top
@@ -319,7 +316,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     score = np.tensordot((1, 0.9), _on_levels(rise, tried[:, None]).mean(axis=-1), 1)
     x_height = float(tried[score.argmax()])
     alike = rise[np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]]
-    # If letters have two heights, their mean may match neither; the smaller height may match all.
+    # Take the mean height, unless only the smallest height puts all letters at typical heights.
     heights = (float(alike.mean()), float(alike.min())) if len(alike) else (x_height,)
     x_height = max(heights, key=lambda tried: _on_levels(rise, tried).any(axis=0).all())
     along = np.arange(right - left)

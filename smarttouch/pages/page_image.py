@@ -16,7 +16,7 @@ INCH_MM = 25.4
 def curve_at(
     coefficients: NDArray[np.float64], distance: NDArray[np.float64], length: float
 ) -> NDArray[np.float64]:
-    """Return a polynomial at distances from its start, linearly extrapolated beyond ``length``."""
+    """Return a polynomial's values at ``distance``. Outside 0 to ``length``, values are linear."""
     inside = np.clip(distance, 0, length)
     y, slope = np.zeros_like(inside), np.zeros_like(inside)
     for coefficient in coefficients[::-1].tolist():
@@ -31,9 +31,7 @@ class TextLine:
 
     left_mm: float
     right_mm: float
-    baseline: tuple[
-        float, ...
-    ]  # polynomial coefficients of y, lowest first, over the distance from left_mm
+    baseline: tuple[float, ...]  # polynomial coefficients, lowest first: y at x - left_mm
     x_height_mm: float
     ascent_mm: float  # height of the font's ascenders, even if the line has none
     descent_mm: float

@@ -31,12 +31,11 @@ from smarttouch.pages.reading_order import DOUBTFUL, Segment, reading_order
 from smarttouch.pages.straighten import cut_strip, find_sheet, flattened, turned
 
 LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
-"""Note to the user if a sheet was found in a photograph."""
 FAINT = "faint marks, such as print on the back of the sheet"
-_SMALL_PX, _LARGEST_PIXELS = 9.0, 40_000_000
-"""Letter height, px, below which a page is enlarged; largest enlarged page, pixels."""
-_PICTURE, _FILLED = 9.0, 0.15
-"""Smallest width and height of a picture, in letter heights; smallest share of ink in its box."""
+_SMALL_PX = 9.0  # letter height below which a page is enlarged
+_LARGEST_PIXELS = 40_000_000  # largest number of pixels of an enlarged page
+_PICTURE = 9.0  # smallest width and height of a picture, in letter heights
+_FILLED = 0.15  # smallest share of ink in the box of a picture
 _FEWEST_PIXELS = 3  # smallest area of a component of print, pixels
 _HEIGHT = 0.96  # distance from ascender to descender, in font sizes
 
@@ -127,10 +126,11 @@ def _with_lines(
 
 
 _SKEWS_DEG = np.linspace(-16, 16, 321)
-_LEAST_SKEW_DEG, _PEAK_DEG = 0.2, 0.6  # smallest skew to correct; half width of a peak of counts
-_BIN, _FEWEST, _SURE = 0.25, 30, 2.0
-"""Bin height of the histogram of letters' lower ends, in letter heights; smallest number of letters
-and smallest ratio of the peak to typical counts for which a skew is certain."""
+_LEAST_SKEW_DEG = 0.2  # smallest skew to correct
+_PEAK_DEG = 0.6  # largest distance from the best candidate skew at which candidates are averaged
+_BIN = 0.25  # bin height in the histogram of the letters' lower ends, in letter heights
+_FEWEST = 30  # smallest number of letters with which the skew is measured
+_SURE = 2.0  # smallest score of a certain skew, relative to the median score of all candidates
 
 
 def skew_of(letters: Components, height: float) -> float:
@@ -148,11 +148,10 @@ def skew_of(letters: Components, height: float) -> float:
     return float(skew_deg) if sure and abs(skew_deg) >= _LEAST_SKEW_DEG else 0.0
 
 
-_LEAST_SIDES, _LEAST_INK = (2.5, 5.0), 0.6
-"""Dark panel: smallest height and width, in letter heights, and smallest share of ink."""
-_LIGHT_LETTER, _FEWEST_LETTERS = (0.5, 9.0), 4
-"""Letters in a panel: range of heights relative to letters of the page (the dots of halftones are
-smaller), and smallest number."""
+_LEAST_SIDES = (2.5, 5.0)  # smallest height and width of a dark panel, in letter heights
+_LEAST_INK = 0.6  # smallest share of ink in a dark panel
+_LIGHT_LETTER = (0.5, 9.0)  # range of letter heights in a dark panel, relative to the page
+_FEWEST_LETTERS = 4  # smallest number of letters in a dark panel
 
 
 def _panels(ink: Ink, components: Components, height: float) -> Ink:
@@ -170,10 +169,10 @@ def _panels(ink: Ink, components: Components, height: float) -> Ink:
     return panels
 
 
-_HOPELESS, _MISSES = 60, 3
-"""Number of rows to try, and more for each line found; the other rows are parts of pictures."""
+_HOPELESS = 60  # number of rows to measure if no row is text: a picture may have thousands
+_MISSES = 3  # number of further rows to measure for each row that is text
 _LEAST_X_HEIGHT_PX = 3.5  # smallest x-height of readable print
-_SHORT = 11.0  # length, in letter heights; shorter rows get the slope of the nearest line
+_SHORT = 11.0  # rows shorter than this, in letter heights, get the slope of the nearest line
 
 
 def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Baseline], int]:
@@ -197,14 +196,14 @@ def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Base
     return _credible(ink, measured), small
 
 
-_EVEN, _FEW, _SIMILAR, _MOST_OF_ALL = 0.85, 4, 1.7, 0.8
-"""Share of letters at typical heights that makes a line even; number of letters from which an even
-line is certainly text; largest ratio of the x-heights of a line and a certain line; and share of
-the page's ink from which lines are text if no line is certain."""
-_OWN, _AROUND, _FOREIGN, _NEAR_FOREIGN = (-1.8, 0.6), (-1.7, 0.5), 0.1, 0.5
-"""Top and bottom relative to the baseline: of a line, in x-heights, and of the area around the line
-in which foreign ink is counted, in letter heights. Largest foreign ink per letter, relative to the
-line's ink: in general, and around an even line."""
+_EVEN = 0.85  # smallest share of letters with typical heights in an even line
+_FEW = 4  # smallest number of letters with which an even line is certainly text
+_SIMILAR = 1.7  # largest ratio between the x-heights of a line and a line that is certainly text
+_MOST_OF_ALL = 0.8  # smallest share of the page's ink in the lines if no line is certainly text
+_OWN = (-1.8, 0.6)  # top and bottom of a line relative to the baseline, in x-heights
+_AROUND = (-1.7, 0.5)  # range around the baseline for foreign ink, in letter heights
+_FOREIGN = 0.1  # largest foreign ink for each letter of a line, relative to the line's ink
+_NEAR_FOREIGN = 0.5  # largest foreign ink for each letter of an even line
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
@@ -274,9 +273,9 @@ def _ordered(
     return tuple(found), any(row.is_doubtful for row in ordered)
 
 
-_REACH, _FARTHEST, _ABOVE, _BELOW = 1.2, 3.5, 1.6, 0.5
-"""Largest distances of a mark at the end of a line, in x-heights: from the previous mark or letter,
-from the last letter, above the baseline, and below the baseline."""
+_REACH = 1.2  # largest gap between a mark at the end of a line and its neighbor, in x-heights
+_FARTHEST = 3.5  # largest total length of the marks at one end of a line, in x-heights
+_ABOVE, _BELOW = 1.6, 0.5  # largest distances of marks above and below the baseline, in x-heights
 _LONGEST = 2.5  # largest side of a dot, dash or single letter, in x-heights
 
 
@@ -296,15 +295,15 @@ def _ends(lines: list[Baseline], components: Components) -> list[tuple[float, fl
             near = (marks.left < right + _REACH * size) & (marks.right > left - _REACH * size)
             left = float(np.min(marks.left[near], initial=left))
             right = float(np.max(marks.right[near], initial=right))
-        # Leave out longer rows of marks: they are leader dots.
+        # If marks make a line much longer, the marks are leader dots: leave these marks out.
         left = left if line.left - left < _FARTHEST * size else line.left
         ends.append((left, right if right - line.right < _FARTHEST * size else line.right))
     return ends
 
 
-_SAME, _CAPITALS, _CAPITAL = 0.15, 0.08, 1.42
-"""Largest relative difference of x-heights of one font size; largest share of tall letters in a
-line of capitals; height of a capital, in x-heights."""
+_SAME = 0.15  # largest relative difference between x-heights of one font size
+_CAPITALS = 0.08  # largest share of letters taller than capitals in a line of capitals
+_CAPITAL = 1.42  # height of a capital, in x-heights
 _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 """Plausible ranges of ascent and descent, in x-heights."""
 

@@ -8,38 +8,40 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-_SAME_LINE, _SPACE = 0.3, 0.1  # largest baseline distance in a line; smallest gap of a space
+_SAME_LINE = 0.3  # largest distance between baselines in one line, in letter sizes
+_SPACE = 0.1  # smallest gap that becomes a space, in letter sizes
 _WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
-"""Smallest gap of columns, in letter sizes: between words, between figures, and in a picture."""
-_APART, _FLUSH = 2.5, 0.4  # smallest gap of separate lines; tolerance of ends of justified lines
-_FARTHER = 1.6  # smallest distance of blocks, relative to the typical row distance
-_EDGE = 0.125  # share of the page's height, at top and bottom, for running heads
-_WIDE_CELL, _WIDER, _WIDEST, _LOOSE = 5.0, 8.0, 13.0, 1.5
-"""Mean line widths from which columns are prose: in pictures, in PDF files, and if rows are loose;
-and the row distance above which rows are loose; in letter sizes."""
+"""Smallest gap, in letter sizes, that separates columns: of words, of figures, and in a picture."""
+_APART = 2.5  # smallest gap between separate lines, above or beside, in letter sizes
+_FLUSH = 0.4  # largest difference between the ends of justified lines, in letter sizes
+_FARTHER = 1.6  # smallest distance between blocks of rows, relative to the typical row distance
+_EDGE = 0.125  # height of the areas at top and bottom for running heads, relative to the page
+_WIDE_CELL = 5.0  # smallest mean line width of prose in a picture, in letter sizes
+_WIDER = 8.0  # smallest mean line width of prose in a PDF file, in letter sizes
+_WIDEST = 13.0  # smallest mean line width of prose if rows are loose, in letter sizes
+_LOOSE = 1.5  # row distance above which rows are loose, in letter sizes
 _FEWEST = 3  # with fewer rows, the widths of lines do not tell prose from tables
-_SURE = 1.15  # ratio of line width to threshold above which the order is certain
+_SURE = 1.15  # if line widths are within this factor of the limit for prose, the order is doubtful
 DOUBTFUL = "the reading order is doubtful: words side by side may be columns, or rows of a table"
+# mark of a list item, or number of a section
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
-"""Mark of a list item, or number of a section."""
 
 
 @dataclass(eq=False)
 class Segment:
-    """Text without a wide gap: a character, a part of a line, or a line of a picture. y points
-    down."""
+    """Text without a wide gap: a character, a part of a line, or a line of a picture."""
 
     text: str
     left: float
     right: float
-    y: float  # baseline
+    y: float  # baseline; y points down
     size: float  # letter size
     place: int  # index in the file; negative in form fields and pictures
     space: str = ""  # white space before the segment in the file
     turn_deg: int | None = 0  # rotation that makes the text horizontal; None if slanted
 
     def gap(self, other: "Segment") -> float:
-        """Return the gap between two segments, in letter sizes of the larger."""
+        """Return the gap between two segments, relative to the larger of their letter sizes."""
         distance = max(other.left - self.right, self.left - other.right)
         return distance / max(self.size, other.size)
 
@@ -49,7 +51,7 @@ class Segment:
         return self.gap(other) > (_FIGURES if are_figures else _WIDE)
 
     def add(self, text: str, other: "Segment") -> None:
-        """Append ``text``, the text of another segment, and extend this segment over it."""
+        """Append ``text``, and widen this segment until it covers the segment ``other``."""
         self.text += text
         self.left, self.right = min(self.left, other.left), max(self.right, other.right)
 
@@ -70,11 +72,10 @@ class Line:
 
 
 def reading_order(segments: Row, height: float, leftward: bool = False) -> list[Line]:
-    """Return the lines of a page in reading order; ``leftward`` scripts are read from right to
-    left.
+    """Return the lines of a page in reading order, from right to left for ``leftward`` scripts.
 
-    Cells of a table row are separated by semicolons; an empty cell is a hyphen. If a cell has more
-    lines, each is a separate row. Close segments of text from a file are joined.
+    Cells of a table row are separated by semicolons; an empty cell is a hyphen. If a cell has
+    several lines, each line is a separate row. In text from a file, close segments are joined.
     """
     if leftward:
         _mirror(segments)
@@ -123,7 +124,7 @@ def _joined(row: Row) -> Row:
 
 
 def _join_justified(rows: list[Row]) -> None:
-    """Join the segments of each justified row, which is as wide as the prose in the row before."""
+    """Join the segments of a row if the row before is prose with the same left and right ends."""
     for (first, *others), row in itertools.pairwise(rows):
         ends = abs(row[0].left - first.left), abs(row[-1].right - first.right)
         if " " in first.text and not others and max(ends) < _FLUSH * first.size:
@@ -161,8 +162,8 @@ def _ordered(rows: list[Row]) -> list[Line]:
 
 
 def _insets(rows: list[Row], gap: _Span) -> list[Row] | None:
-    """Return the segments that lie across a gap between columns, if they have enough text on both
-    sides, as captions do; otherwise None."""
+    """Return the segments that lie across a gap between columns, as captions do. Return None if
+    few rows have text on both sides of the gap."""
     across = [[part] for row in rows for part in row if part.left < gap[1] and part.right > gap[0]]
     beside = [[part for part in row if [part] not in across] for row in rows]
     sides = _part(beside, -math.inf, gap[1]), _part(beside, gap[1])
@@ -181,7 +182,7 @@ def _usual_step(rows: list[Row]) -> float:
 
 
 def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Span]]]:
-    """Yield bands of successive rows with common gaps, or of one row, and the gaps of the band."""
+    """Yield bands of successive rows, and the gaps that all rows of a band have in common."""
     band: list[Row] = []
     shared: list[_Span] = []
     for row in rows:
@@ -204,17 +205,17 @@ def _free(row: Row) -> list[_Span]:
 
 
 def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
-    """Return rows of only the segments whose middle is between ``left`` and ``right``."""
+    """Return the rows with only those segments whose middle is between ``left`` and ``right``."""
     rows = ([part for part in row if left <= (part.left + part.right) / 2 < right] for row in band)
     return [row for row in rows if row]
 
 
 def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
-    """Return at least 1 if two columns are prose, to be read one after the other: the file has this
-    order, or lines in both columns are as wide and close as prose. Near 1 is doubtful."""
+    """Return the line width of two columns, relative to prose; infinite if the file has the columns
+    one after the other. If this is at least 1, the columns are read so."""
     ends = [_text(row)[:1] + _text(row)[-1:] for row in right]
     if all(map(str.isdigit, ends)) or all(_text(row).endswith(":") for row in left):
-        return 0.0  # figures or labels
+        return 0.0  # a column of figures, or a column of labels
     level = min(len(left), len(right))
     printed = [part for row in band for part in row if part.place >= 0]
     sides = [part.left >= end for part in sorted(printed, key=lambda part: part.place)]
@@ -223,7 +224,7 @@ def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: flo
         return math.inf
     if level < _FEWEST:
         return 0.0
-    # Table rows are short, or farther apart than prose. The median ignores a large heading.
+    # Lines of a table are shorter, or farther apart, than lines of prose.
     size = statistics.median(row[0].size for row in band)
     step = max(map(_usual_step, (left, right))) / size
     least = _WIDEST if step > _LOOSE else _WIDER if printed else _WIDE_CELL
@@ -236,8 +237,8 @@ def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: flo
 def _lines(band: list[Row]) -> list[Line]:
     """Convert rows to lines.
 
-    Rows are table rows if the gaps of two rows overlap. Cells are separated at as few places
-    as possible, so that each gap contains a place. A row with only a first column is a plain line.
+    If the gaps of two rows overlap, both are table rows, and cells end in the middle of the
+    overlap. A row with only a first column is a plain line.
     """
     gaps = sorted((gap for row in band for gap in _free(row)[1:-1]), key=lambda gap: gap[1])
     shared: list[_Span] = []

@@ -12,16 +12,15 @@ from smarttouch.pages.page_image import TextLine
 Corners = NDArray[np.float64]
 
 _SIDE_PX = 480  # longer side of the image for sheet detection
-_LEAST_PART, _LARGEST_PART = 0.2, 0.97
-"""Smallest share of a photograph that a sheet covers, and share from which it is a scan."""
+_LEAST_PART = 0.2  # smallest share of a photograph that a sheet covers
+_LARGEST_PART = 0.97  # if a sheet covers a larger share of a picture, the picture is a scan
 _LOG_STEPS = (0.1, 0.15, 0.25, 0.4, 0.7)
-"""Thresholds to try for a sheet's edge: steps of log gray level. Shadows have smaller steps."""
+"""Thresholds for steps of log gray level at edges. All are tried: high ones ignore shadows."""
 _LEAST_FILLED = 0.93  # smallest share of a sheet's quadrilateral that is bright
-_LEAST_STEP, _LEAST_SIDES = 25.0, 3
-"""Smallest drop of the gray level from paper to background at a visible edge, and smallest number
-of visible edges; the other edges of a sheet may be outside the photograph."""
+_LEAST_STEP = 25.0  # smallest drop of the gray level from sheet to background at a visible edge
+_LEAST_SIDES = 3  # smallest number of visible edges; one edge may be outside the photograph
 _EDGE_PX = 6  # distance from an edge at which paper and background are compared
-_ROUGH = 0.02  # tolerance of a quadrilateral outline, relative to its length
+_ROUGH = 0.02  # largest deviation of an outline from a quadrilateral, relative to its length
 _INSET = 0.006  # share of the sheet removed at its blurred edges
 
 
@@ -69,8 +68,8 @@ def _is_sheet(corners: Corners, covered: float, paper: Grey) -> bool:
 
 
 def flattened(grey: Grey, corners: Corners) -> Grey:
-    """Return a quadrilateral of a picture as a rectangle, at its finest resolution. Areas outside
-    the picture get its median gray level."""
+    """Stretch a quadrilateral of a picture to a rectangle with the lengths of the longer sides.
+    Areas outside the picture get the picture's median gray level."""
     top, right, bottom, left = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
     width, height = max(2, round(max(top, bottom))), max(2, round(max(left, right)))
     target = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
@@ -91,7 +90,7 @@ def turned(grey: Grey, skew_deg: float) -> Grey:
     return flattened(grey, corners + (size - 1) / 2)
 
 
-_AROUND = 0.8  # area above and below a line that is searched, in line heights
+_AROUND = 0.8  # height of the area above and below a line that is cut out too, in line heights
 SIDES = 0.25  # margin before and after a line, in line heights
 _INK = 128  # gray level below which a pixel belongs to a spot of ink
 _FADED = np.ones((5, 5), np.uint8)  # adds the gray edge of a spot to the spot
@@ -119,7 +118,7 @@ def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int
     is_foreign = np.abs(centers[:, 1] - len(strip) / 2) > rows / 2
     is_foreign[0] = False
     spots = is_foreign[labels]
-    # Erase spots of other lines with their gray edges, but keep ink of this line there.
+    # Erase spots of other lines and the gray edges of these spots, but no ink of this line.
     strip[(cv2.dilate(spots.view(np.uint8), _FADED) > 0) & (spots | (labels == 0))] = 255
     size = (max(1, round(columns * height_px / rows)), height_px)
     smooth = cv2.INTER_AREA if height_px < rows else cv2.INTER_CUBIC

@@ -33,7 +33,7 @@ _BY_NAME = dict.fromkeys([".md", ".markdown"], _MARKDOWN) | dict.fromkeys(
     [".html", ".htm", ".xhtml"], f"html{_TEX}"
 )
 _ODF = rb"PK.{28}mimetypeapplication/vnd\.oasis\.opendocument\."
-_LISTED = rb"PK.*PK\x01\x02.{42}"  # a ZIP file up to the name of a member in its directory
+_LISTED = rb"PK.*PK\x01\x02.{42}"  # ZIP file with a member; the member's name follows
 _KINDS = {
     rb"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b": f"html{_TEX}",
     _LISTED + rb"word/": "docx",
@@ -53,7 +53,7 @@ _KINDS = {
     rb"\s*\{.*\"(?:nbformat|cells)\"\s*:": "a notebook (Jupyter)",
     rb"\xd0\xcf\x11\xe0": "an old or locked Office document, or an Outlook mail",
 }
-"""Pandoc's formats and unsupported kinds, by patterns of the first (and a ZIP's last) bytes."""
+"""Patterns of a file's bytes, and the format: pandoc's name or, if unsupported, a description."""
 _OBJECT = re.compile(rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>", re.DOTALL)
 _DROPPED = {
     "headers and footers of its pages are left out": rb"<w:(?:hdr|ftr)\b.*?<w:t\b|"
@@ -74,8 +74,8 @@ class FileKind(StrEnum):
 
 
 def file_kind(path: Path) -> FileKind:
-    """Return the kind of a file by its first bytes, and for Braille, .txt, .md and incomplete HTML
-    by its name. Raises PageError for unsupported kinds."""
+    """Return the kind of a file from its first bytes. Braille, .txt, .md and incomplete HTML are
+    recognized by the file's name. Raises PageError for unsupported kinds."""
     return _kind_and_format(path)[0]
 
 
@@ -155,7 +155,8 @@ def _kind_and_format(path: Path) -> tuple[FileKind, str]:
 
 
 def _repacked(path: Path) -> tuple[bytes, list[bytes]]:
-    """Return a ZIP document without markup that makes pandoc drop text, and all its contents."""
+    """Remove from a ZIP file the markup that makes pandoc drop text. Return the new file, and the
+    original contents."""
     try:
         with zipfile.ZipFile(path) as packed:
             if sum(member.file_size for member in packed.infolist()) > MOST_UNPACKED_BYTES:
