@@ -29,7 +29,7 @@ FINEST_MM = 0.1
 _WIDTH = (900, 1400)  # smallest and largest width of a picture, pixels
 _MARGIN, _LABEL = 24, 28
 _DOT_PART = 0.8  # diameter of an electrode's dot, relative to the electrode's cell
-_STEPWISE_FROM = 5  # mean sequences per pose from which the finger counts as moving in steps
+_STEPWISE_FROM = 5  # smallest mean number of sequences per pose of a finger that moves in steps
 _SCALE_PART = 0.2  # largest width of the scale bar, relative to the picture
 _SCALES_MM = (100, 50, 20, 10, 5, 2, 1, 0.5)
 Grey = NDArray[np.uint8]
@@ -37,8 +37,8 @@ Place = tuple[float, float]
 Places = NDArray[np.floating]
 Ink = int | tuple[int, int, int]
 Under = tuple[str, Place, Place, Callable[[tuple[int, int], float], Grey] | None]
-"""Touched area: its title; its top left corner, mm; its width and height, mm; and a function that
-draws what was there, for a shape in pixels and a pixel size in mm, or None."""
+"""Title of a picture; corner (top left) and size of the touched area, mm; and, if known, a function
+that draws what lay in the area. Its arguments are a shape in pixels and a pixel size in mm."""
 
 
 _DARK_QUANTILE = 0.999
@@ -99,7 +99,7 @@ class SpikeMap:
     def _pixels(
         self, places_mm: Places, pose: Pose
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-        """Return rows and columns of the points on the picture, and a mask of them, (N,)."""
+        """Return pixel rows and columns of the points on the picture, and a mask of the points."""
         shape = self._passes.shape
         column, row = np.floor(self._placed(places_mm, pose) / self._pixel_mm).astype(np.intp).T
         on = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
@@ -149,7 +149,7 @@ class DeliveredDrawing(ABC):
         current_ua: NDArray[np.int16],
         finger: Finger | None = None,
     ) -> None:
-        """Compute the responses to delivered slots and, with ``finger``, its spikes."""
+        """Compute the responses to delivered slots and, with ``finger``, the finger's spikes."""
         self.answers = self._respond(numbers, width_us, current_ua)
         self._finger = finger
         if finger is not None:

@@ -83,8 +83,8 @@ def _reach_mm(profile: Profile) -> Array:
 
 
 def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
-    """Return each class's AF per mA of each electrode at places (..., 2), for D directions of the
-    nerve fiber, (D, ..., E)."""
+    """Return, for each class, the AF at places, (..., 2), from 1 mA through each electrode. The
+    shape is (D, ..., E) for D directions of the nerve fiber and E electrodes."""
     skin = profile.skin
     per_ma = {}
     for shown in Afferent:
@@ -97,7 +97,7 @@ def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
 
 
 def _activation(per_ma: Array, kernel: Kernel) -> Array:
-    """Return the AF of a kernel at each place of ``per_ma``, the largest of all directions."""
+    """Return a kernel's largest AF over all fiber directions, at each place of ``per_ma``."""
     return np.asarray((per_ma @ kernel.weights).max(axis=0))
 
 

@@ -64,7 +64,7 @@ class Output:
         if self.number is not None:
             self.waiting += text.encode(self._stream.encoding or "utf-8", "backslashreplace")
         else:
-            # Write the rest of the buffer first, as bytes: it may begin within a character.
+            # First write the rest of the buffer, as bytes: the rest may begin within a character.
             while self.waiting:
                 del self.waiting[: os.write(self._stream.fileno(), self.waiting)]
             self._stream.write(text)

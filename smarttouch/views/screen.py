@@ -28,7 +28,7 @@ from smarttouch.views.character_pictures import MOST_ROWS, ArrayPicture, Row, im
 from smarttouch.views.keys_and_signals import Output, Terminal
 
 _REFRESH_S = 0.2
-_LEAST_REST = 20  # shortest pause between redraws, in durations of the last redraw
+_LEAST_REST = 20  # smallest ratio of the pause after a redraw to the duration of the redraw
 _KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
 _ROOMY = 20  # terminal height, rows, from which an event may take two rows
 _LEAST_PICTURE = 9  # smallest height of the pictures including titles, rows
@@ -67,7 +67,7 @@ class Screen(Listener):
         self._outputs = [Output(self._console.file), Output(self._errors.file)]
         self._console.file, self._errors.file = (cast(TextIO, each) for each in self._outputs)
         self._terminal: Terminal | None = None
-        self._failure: BaseException | None = None  # while drawing, for the run's thread
+        self._failure: BaseException | None = None  # drawing error; the run's thread raises it
         self._drawn: object = None
         self._rests_until_s = 0.0
 
@@ -267,7 +267,7 @@ class Screen(Listener):
             ("unwanted", _beside(statistics.off_target, statistics.spill)),
             ("frames", f"{statistics.delivered} sent, {dropped} dropped of {self._source.frames}"),
             ("board", f"{self._board.acknowledged} of {statistics.frames} acknowledged"),
-            ("computing", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the scans"),
+            ("computing", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the time"),
         )
 
     def summarize(self, figures: dict[str, Any], notes: list[str], files: Sequence[Path]) -> None:
@@ -276,7 +276,7 @@ class Screen(Listener):
         wrote = [f"wrote {path}" for path in files]
         account = self._source.account if self._plain else ""
         if account:
-            # This short summary must still say that the stimulus was interrupted.
+            # The source's account does not mention interruptions of the stimulus.
             if again := figures["restarts"] + figures["dropped_late"]:
                 notes = [*notes, f"intensity restarted at zero {again} times"]
             more = "; ".join([*notes, *wrote]) or "No warning; nothing was recorded."
@@ -296,7 +296,7 @@ def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:
 
 
 def _beside(other: float, spill: float) -> str:
-    """Return as text the largest off-target and spill of slots that several points shared."""
+    """Return as text the largest off-target and the largest spill of slots with several points."""
     if not other and not spill:
         return "no points share a slot"
     return f"{other:.0%} off-target, {spill:.0%} spill"
@@ -388,8 +388,8 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
     rate = f"{figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} Hz requested"
     if figures["slowed_sequences"]:
         rate += (
-            f" ({figures['slowed_sequences']} sequences did not fit and were slowed, "
-            f"at most to {figures['lowest_rate_hz']:.1f} Hz)"
+            f" ({figures['slowed_sequences']} sequences did not fit into a period "
+            f"and were slowed; the lowest rate was {figures['lowest_rate_hz']:.1f} Hz)"
         )
     # Latencies are zero in simulated time.
     if latency["max"] > 0:

@@ -37,7 +37,7 @@ def _visible(match: re.Match[str]) -> str:
 
 
 def write_failure(error: OSError, name: str) -> Exception:
-    """Return the exception for a failed write: a broken pipe as it is, or a SmartTouchError."""
+    """Return BrokenPipeError unchanged; return a SmartTouchError for any other failed write."""
     if isinstance(error, BrokenPipeError):
         return error
     return SmartTouchError(f"cannot write to {name}: {error.strerror}")
@@ -46,8 +46,8 @@ def write_failure(error: OSError, name: str) -> Exception:
 class PlainStream:
     """Standard stream whose failures become a SmartTouchError.
 
-    Failures of a stream without a name are ignored. With ``plain``, control characters are
-    replaced, and `isatty` is false, because code that draws uses `console` instead.
+    If ``name`` is empty, failures are ignored. With ``plain``, control characters are replaced, and
+    `isatty` is false, because only a `console` may draw.
     """
 
     def __init__(self, stream: TextIO, name: str, plain: bool = True) -> None:
@@ -97,7 +97,7 @@ def draws(shown: "Console | None" = None) -> bool:
 
 
 _WIDEST = 200
-_LONGEST_NAME = 40  # if no text of the first column is longer, the column is not wrapped
+_LONGEST_NAME = 40  # a first column with a text longer than this is wrapped
 
 
 def print_table(

@@ -67,7 +67,7 @@ def run_in_terminal(
     """Run a source on a display until the source or the user ends the run; print a summary.
     Arguments are as for `Runner`. ``keys`` maps more keys to functions, ``keys_help`` describes
     them. ``json_file`` receives the figures of the run; ``files`` are all files that the run
-    writes. ``draws`` gives the run more time to finish. The window stays until it is closed."""
+    writes. With ``draws``, a run may draw pictures after a signal. A window stays until closed."""
     stop, typed = command_stop(), sys.stdin.isatty()
     asks = display.on_a_finger and (typed or window) and (screen, controls) == (Screen, Controls)
     operation = _Operation(draws, asks)
@@ -88,7 +88,7 @@ def run_in_terminal(
             config,
             force=force,
             listeners=[
-                *([] if page is None else [page]),  # prints its address first
+                *([] if page is None else [page]),  # first, to print the page's address first
                 shown,
                 *listeners,
                 operation,
@@ -168,7 +168,7 @@ class _Operation(Listener):
             self._run.source.emit(Advice(at_ns, words))
 
     def _rise(self) -> None:
-        """Set the last comfortable level of the mode; the ramp limits how fast intensity rises."""
+        """Set the mode's last comfortable level. The ramp limits how fast intensity rises."""
         # The key may be pressed before the run is prepared.
         if self._levels is not None:
             controls, state = self._run.controls, self._run.controls.state(0)

@@ -1,4 +1,4 @@
-"""Signal for a mechanical vibrator that stimulates PC, as a WAV file or through a sound card."""
+"""Vibrator signal that stimulates PC afferents, as a WAV file or through a sound card."""
 
 import time
 import wave
@@ -19,7 +19,7 @@ _NEEDS = "sound: needs a sound card; pip install sounddevice; on Linux apt insta
 
 
 class Vibrator(Listener):
-    """Listener that drives PC by a mechanical vibrator instead of by current (paper, Section V).
+    """Listener that stimulates PC afferents with a vibrator, not with current (paper, Section V).
 
     The signal is a sinusoid of 250 Hz. Its amplitude is the largest PC activation of the sequence;
     1 is full scale. The vibration lasts until the next sequence, at most 80 ms.
@@ -97,7 +97,7 @@ class _WavFile(_Carrier):
 
 class _SoundCard(_Carrier):
     def __init__(self) -> None:
-        self._asked = 0.0, 0.0  # amplitude and its end, s, read by the sound card's thread
+        self._asked = 0.0, 0.0  # amplitude, and time when it ends, s; for the sound thread
         try:
             from sounddevice import OutputStream
 

@@ -201,7 +201,7 @@ class Pages:
         return Response(status_code=204)
 
     async def _stop(self) -> None:
-        # Stopping may wait for the board's connection: meanwhile, serve other pages.
+        # Stop in a thread, because stopping may wait for the board: other pages are still served.
         await asyncio.to_thread(self._state.steering.stop)
 
     async def _connected(self, socket: "WebSocket") -> None:
@@ -279,10 +279,10 @@ class Pages:
     async def _act(self, page: ConnectedPage, what: str) -> None:
         steering = self._state.steering
         if what.startswith("key:"):
-            # A key may wait for the source: meanwhile, a page must be able to stop the run.
+            # Act in a thread, because the key may wait for the source and pages must be able to stop.
             await asyncio.to_thread(steering.act, page.number, what)
         elif not steering.act(page.number, what) and what in _AT_ZERO:
-            # The page may not know yet that another page has control, so end the run.
+            # A page without control cannot set the current to zero: end the run instead.
             await self._stop()
 
     async def _feed(self, socket: "WebSocket", page: ConnectedPage) -> None:

@@ -190,7 +190,7 @@ def test_the_summary_says_what_was_counted():
     figures = st.run("text:a", "simulated:", seconds=0.5).figures | counted
     summary = "\n".join(summary_lines(figures, acknowledges=True))
     for words in (
-        "31.5 Hz of 47.0 Hz requested (4 sequences", "at most to 21.0 Hz", "7% to other classes",
+        "31.5 Hz of 47.0 Hz requested (4 sequences", "rate was 21.0 Hz", "7% to other classes",
         "8% to other places", "lifted 5 times", "6 sequences without current",
     ):  # fmt: skip
         assert words in summary

@@ -190,7 +190,7 @@ function showState() {
       ["dose", `${state.dose_mc.toFixed(2)} of ${limits.session_mc} mC`],
       ["sequences", `${state.sequences}, ${state.acknowledged} acknowledged`],
       ["late", String(state.late)],
-      ["computing", `${(100 * state.work_share).toFixed(1)} % of the scans`],
+      ["computing", `${(100 * state.work_share).toFixed(1)} % of the time`],
     ]),
   ].filter(Boolean));
 }
