@@ -168,7 +168,7 @@ def force(
     ] = None,
     seconds: Annotated[float, option("Measure each weight for this time.", "S")] = 2.0,
 ) -> None:
-    """Measure the curve from load cell readings to force, with known weights."""
+    """Measure the curve that converts load cell readings to force, with known weights."""
     from smarttouch.experiments.calibration import fit_curve, weigh_on
 
     require_within(CalibrationError, "seconds", seconds, 0, 600, above=True)

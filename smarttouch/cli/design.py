@@ -158,8 +158,8 @@ def new(
     files: Annotated[
         list[Path],
         argument(
-            "The profile to write; before it, for another array, a CSV table with columns x_mm, "
-            "y_mm and optionally diameter_mm.",
+            "The profile to write. For another array, give a CSV table of electrodes first, with "
+            "columns x_mm, y_mm and optionally diameter_mm.",
             "[TABLE.csv] FILE.toml",
         ),
     ],
@@ -168,7 +168,7 @@ def new(
     like: Annotated[str, option("Start from this profile.", "NAME|FILE")] = "electric-mouse",
     overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
 ) -> None:
-    """Write a new profile: a copy with its comments, or a profile for another array."""
+    """Write a new profile: a copy of another profile, or a profile for another array."""
     from smarttouch.base.errors import ProfileError
     from smarttouch.base.files import write_bytes
     from smarttouch.experiments.calibration import ProfileFile

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from smarttouch.experiments.findings import Finding
 
 _ANATOMY = "paper"
-_FINGER = 2  # not 1: RA pulses of the profile concentric reach no afferent of finger 1
+_FINGER = 2  # seed; with seed 1, pulses of profile "concentric" do not reach any RA afferent
 _FREE_HZ = 50.0  # initial pulse rate of free stimulation
 
 
@@ -56,7 +56,7 @@ class _Participant(OptionGroup):
 
     @property
     def name(self) -> str:
-        """Name in the file. Simulated participants have another name, so that answers never mix."""
+        """Name in the file of answers. A simulated participant has another name than a person."""
         who = self.simulate and f"simulated-{self.simulate}"
         return "-".join(filter(None, (self.subject, who)))
 

@@ -38,9 +38,9 @@ def live(
 ) -> None:
     """Show the images or stimuli of a source on the finger.
 
-    The run ends with its source, or when you press q or Ctrl-C. A page is read at about 30 words a
-    minute. On a screen the page is repeated, unless files are written; 'text:Hello?passes=1' is
-    read once.
+    The run ends with its source, or when you press q or Ctrl-C. In a terminal or a window, a page
+    is read again and again, at about 30 words a minute. With 'text:Hello?passes=1', or if files are
+    written, the page is read once.
     """
     from smarttouch.base.files import data_folder
 

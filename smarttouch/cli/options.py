@@ -91,7 +91,7 @@ def read_form(
 
 
 def parse_mode(mode: str) -> Mode:
-    """Parse the name of a mode. Color mode is not allowed, because images cannot drive it."""
+    """Parse the name of a mode. Color mode is rejected: only a source can choose this mode."""
     return choice_of("mode", mode, [known for known in Mode if known is not Mode.COLOR])
 
 
@@ -209,8 +209,8 @@ class RunOptions(OptionGroup):
         return Display(self.board_url, profile)
 
     def config(self, mode: str, **more: Any) -> "RunConfig":
-        """Return the configuration of an interactive run. ``more`` are the command's defaults for
-        settings that --set can replace."""
+        """Return the configuration of an interactive run. ``more`` contains the command's
+        default settings, which --set can replace."""
         from smarttouch.running.config import RunConfig
 
         return RunConfig(**({"mode": mode, "paced": True} | more | self.settings()))
@@ -230,7 +230,7 @@ class RunOptions(OptionGroup):
 
     @property
     def vibrators(self) -> str | None:
-        """WAV file or sound card for a vibrator that drives PC; None without a vibrator."""
+        """WAV file or sound card for a vibrator that stimulates PC; None without a vibrator."""
         return self._set("vibrators")
 
     def finger(self, usual: str = "branched", seed: int = 1) -> tuple[str, int]:

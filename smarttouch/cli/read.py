@@ -55,7 +55,7 @@ class DocumentOptions(OptionGroup):
     ] = None
 
     def recognition(self, source: str) -> "tuple[str, RecognitionOptions]":
-        """Return the address of a document, and its options, some of which follow its name."""
+        """Return the address of a document, and the options of its recognition."""
         from smarttouch.base.urls import all_options
         from smarttouch.pages.text_file import FileKind, file_kind
         from smarttouch.reading.recognition import RecognitionOptions
