@@ -211,8 +211,8 @@ def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
 
 
 def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
-    """Return the line width of two columns, relative to prose; infinite if the file has the columns
-    one after the other. If this is at least 1, the columns are read so."""
+    """Return the line width of two columns, relative to prose. From 1, the columns are read one
+    after the other. Return infinity if the file has this order."""
     ends = [_text(row)[:1] + _text(row)[-1:] for row in right]
     if all(map(str.isdigit, ends)) or all(_text(row).endswith(":") for row in left):
         return 0.0  # a column of figures, or a column of labels

@@ -20,7 +20,7 @@ _LEAST_FILLED = 0.93  # smallest share of a sheet's quadrilateral that is bright
 _LEAST_STEP = 25.0  # smallest drop of the gray level from sheet to background at a visible edge
 _LEAST_SIDES = 3  # smallest number of visible edges; one edge may be outside the photograph
 _EDGE_PX = 6  # distance from an edge at which paper and background are compared
-_ROUGH = 0.02  # largest deviation of an outline from a quadrilateral, relative to its length
+_ROUGH = 0.02  # largest deviation of an outline from a quadrilateral, in outline lengths
 _INSET = 0.006  # share of the sheet removed at its blurred edges
 
 
