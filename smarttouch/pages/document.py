@@ -321,7 +321,7 @@ def _join(segment: Segment, last: Segment, sign: Segment, tracking: float, wides
     return True
 
 
-_ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # in most fonts, in letter sizes
+_ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # typical values of fonts, in letter sizes
 
 
 def _text_line(line: Line, point_mm: float) -> TextLine:

@@ -257,7 +257,7 @@ class Baseline:
     curve: Floats  # (D,) polynomial coefficients, lowest first: y at a distance from ``left``
     x_height: float
     rise: Floats  # (P,) heights above the baseline, of letters or pieces of words
-    fall: Floats  # (P,) depths below the baseline
+    fall: Floats  # (P,) depths below the baseline, of letters or pieces of words
     strokes: float  # number of strokes at half x-height, divided by the length in x-heights
 
     def at(self, x: NDArray[np.float64]) -> Floats:

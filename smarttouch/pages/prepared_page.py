@@ -222,7 +222,7 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
         left, right = max(0, round(line.left - size)), round(line.right + size)
         limit = _NEAR_FOREIGN if even and count >= _FEW else _FOREIGN
         area = int(line.letters.area.sum())
-        # A single component within another line is a part of a letter of that line.
+        # A single component within another line belongs to a letter of the other line.
         is_part = count == 1 and 2 * np.count_nonzero(rest[line.letters.box(0)]) < area
         limit = (limit * min(count, MANY) + (count == 1)) * area
         if np.count_nonzero(rest[top:bottom, left:right]) < limit and not is_part:
@@ -311,8 +311,8 @@ _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:
     """Return the x-height of each line, (N,) px, and the common ascent and descent, in x-heights.
 
-    Lines of one font size get the same x-height. It is corrected for lines of only capitals and
-    figures, for which the height of capitals was measured.
+    Lines of one font size get the same x-height. In lines of only capitals and figures, the height
+    of capitals was measured, so the x-height is computed from this height.
     """
     size, length = np.array([(line.x_height, line.right - line.left) for line in lines]).T
     tall = np.array([np.mean(line.rise > 1.25 * line.x_height) for line in lines])
