@@ -15,7 +15,7 @@ MOST_ROWS, MOST_COLUMNS = 16, 64  # largest picture, in characters: drawing more
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 _SHADE = 15  # step between shades of gray; divides 255, so white stays white
 _DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) * 16
-"""Gray threshold of each dot of two adjacent Braille characters (ordered dithering)."""
+"""Gray thresholds of the dots in two adjacent Braille characters (ordered dithering)."""
 
 
 def image_rows(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool) -> list[Row]:

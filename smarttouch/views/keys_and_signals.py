@@ -18,7 +18,7 @@ from smarttouch.boards.shutdown import current_command, running_command
 LOST = ""  # key that reports a closed terminal
 JOIN_S = 0.3  # longest wait at the end for a key that is being handled
 _TURN_S = 0.05  # longest delay before drawing
-_before: list[list[Any]] = []  # original terminal settings while they are changed
+_before: list[list[Any]] = []  # the terminal's original settings; empty if unchanged
 
 
 def restore() -> None:
@@ -156,7 +156,7 @@ class Terminal:
                 if heard and on_key is not None and not _pass_keys(keys[0], on_key):
                     on_key = None
         except BaseException:
-            # Without this thread no key works, so end the run like a closed terminal.
+            # Without this thread no key works, so end the run as if the terminal were closed.
             (on_key or (lambda _key: None))(LOST)
             raise
 

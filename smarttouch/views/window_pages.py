@@ -83,7 +83,7 @@ class Steering:
             self._alive_s = time.monotonic()
 
     def look_after(self) -> None:
-        """Release control if its page has sent nothing for ``lost_s``; callable from any thread."""
+        """Release control if the page in control has sent nothing for ``lost_s``. Thread-safe."""
         page = self._page
         if page is not None and time.monotonic() - self._alive_s > self._lost_s:
             self.leave(page)
@@ -279,7 +279,7 @@ class Pages:
     async def _act(self, page: ConnectedPage, what: str) -> None:
         steering = self._state.steering
         if what.startswith("key:"):
-            # Act in a thread: while a key waits for the source, a page must be able to stop the run.
+            # Act in a thread: while a key waits for the source, pages must be able to stop the run.
             await asyncio.to_thread(steering.act, page.number, what)
         elif not steering.act(page.number, what) and what in _AT_ZERO:
             # A page without control cannot set the current to zero: end the run instead.
