@@ -7,8 +7,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_ext"))
 
-# After the path, of which the extensions are.
-from smarttouch.base import __version__  # noqa: E402, the path comes first
+from smarttouch.base import __version__  # noqa: E402, sys.path is set above for the extensions
 
 project = "SmartTouch"
 author = "The SmartTouch developers"
@@ -33,7 +32,7 @@ myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "fieldlist"]
 myst_heading_anchors = 3
 
 autosummary_generate = True
-autodoc_typehints = "none"  # numpydoc says them, with units
+autodoc_typehints = "none"  # numpydoc sections state the types, with units
 numpydoc_show_class_members = False
 
 html_theme = "pydata_sphinx_theme"
@@ -53,7 +52,7 @@ html_show_sourcelink = False
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
-# Kernels that examples design are kept here between builds, not in the reader's cache.
+# Examples cache the kernels that they design in build/, not in the user's cache folder.
 os.environ.setdefault("XDG_CACHE_HOME", str(HERE.parent / "build" / "cache"))
 
 sphinx_gallery_conf = {

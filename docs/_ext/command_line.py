@@ -1,4 +1,4 @@
-"""Writes the reference of the command line from the program itself, before pages are read."""
+"""Sphinx extension that writes the command-line reference from the program's own help texts."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,15 +12,15 @@ FOLDER = "reference/command-line"
 HEAD = """\
 # The command line
 
-Made from the program: `smarttouch COMMAND --help` says the same. Whatever a user can cause
-ends in one sentence and exit status 2; a signal ends with all electrodes at zero and 128 plus its
-number.
+These pages are made from the program: `smarttouch COMMAND --help` prints the same text. After an
+error that a user can cause, a command prints one sentence and exits with status 2. After a signal
+it sets all electrodes to zero and exits with status 128 plus the number of the signal.
 
 """
 
 
 def command_line() -> dict[str, str]:
-    """Return the pages by name, in Markdown: one for each command, and one that lists them."""
+    """Return Markdown pages by name: one page for each command, and an index of all commands."""
     from smarttouch.cli import app
 
     program = get_command(app)
@@ -38,8 +38,8 @@ def command_line() -> dict[str, str]:
 
 def _described(command: Any, name: str, above: Context) -> Iterator[str]:
     context = Context(command, info_name=name, parent=above)
-    # A heading for each command, one smaller for those below it.
     full = context.command_path
+    # The heading of a subcommand is one level below that of its command.
     yield f"\n{'#' * full.count(' ')} `{full}`\n\n"
     yield f"{_plain(command.help or '')}\n\n"
     yield f"```text\n{full} {' '.join(command.collect_usage_pieces(context))}\n```\n\n"
@@ -53,14 +53,14 @@ def _described(command: Any, name: str, above: Context) -> Iterator[str]:
 
 
 def _plain(text: str) -> str:
-    """Return help as Markdown shows it: nothing in it is markup but what stands in quotes."""
+    """Escape the Markdown characters of a help text, and mark its double backquotes as code."""
     for mark in "\\*_<>[]$|":
         text = text.replace(mark, "\\" + mark)
     return text.replace("``", "`")
 
 
 def write(app: Any) -> None:
-    """Write the pages where Sphinx looks for them, those that have changed."""
+    """Write the pages that have changed into Sphinx's source folder, and delete old ones."""
     folder = Path(app.srcdir) / FOLDER
     folder.mkdir(exist_ok=True)
     pages = {folder / f"{name}.md": text for name, text in command_line().items()}
@@ -72,6 +72,6 @@ def write(app: Any) -> None:
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Take part in a build."""
+    """Register the extension with Sphinx, which writes the pages before it reads any page."""
     app.connect("builder-inited", write)
     return {"parallel_read_safe": True}

@@ -1,4 +1,4 @@
-"""Order of programs within a section of the gallery: as `docs/gallery.md` names them."""
+"""Sort key for the programs of the gallery: their order in `docs/gallery.md`."""
 
 import re
 from pathlib import Path
@@ -7,5 +7,5 @@ ORDER = re.findall(r"examples/(\w+)\.py", (Path(__file__).parents[1] / "gallery.
 
 
 def position(path: str) -> int:
-    """Return the place of a program; one that the page lacks is an error of the build."""
+    """Return the index of a program in `ORDER`, or raise ValueError, which fails the build."""
     return ORDER.index(Path(path).stem)

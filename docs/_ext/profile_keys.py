@@ -1,6 +1,5 @@
-"""Reference of all keys of a profile, made from the models that check them:
-``python docs/_ext/profile_keys.py > docs/reference/profile-keys.md``.
-"""
+"""Program that prints the reference of all profile keys, made from the models of a profile. Run
+``python docs/_ext/profile_keys.py > docs/reference/profile-keys.md``."""
 
 import ast
 import inspect
@@ -31,7 +30,7 @@ _UNITS = {
     "_n": "N",
     "_s": "s",
 }
-"""Unit of a key by how it ends; the longest endings come first."""
+"""Units by the ending of a key. The first ending that fits is used, so longer ones come first."""
 _TYPES = {float: "number", int: "integer", str: "text", bool: "true or false"}
 _BOUNDS = {"gt": "> {}", "ge": "≥ {}", "lt": "< {}", "le": "≤ {}"}
 _LENGTHS = {"min_length": "at least {} long", "max_length": "at most {} long"}
@@ -43,8 +42,9 @@ def key_reference() -> str:
     """Return all keys of a profile as Markdown: type, unit, default, limits and meaning."""
     parts = [
         "# Keys of a profile\n",
-        "Made by `docs/_ext/profile_keys.py` from the models that check every profile; a key that "
-        "is not here is refused. A key without a default must be given. Currents are magnitudes.\n",
+        "Made by `docs/_ext/profile_keys.py` from the models that check every profile. A profile "
+        "with any other key is rejected. A key without a default must be given. Currents are "
+        "magnitudes.\n",
     ]
     for name, table in _tables():
         parts.append(f"## {name}\n\n{inspect.cleandoc(table.__doc__ or '')}\n")
@@ -57,7 +57,7 @@ def key_reference() -> str:
 
 
 def key_rows(table: type[Table]) -> Iterator[Row]:
-    """Yield a row for each key of a table that is no table itself."""
+    """Yield a row for each key of a table, except for keys that are tables themselves."""
     meanings = _attribute_docstrings(table)
     for name, field in table.model_fields.items():
         if (table is Profile and name == "name") or _inner(field.annotation):
@@ -74,7 +74,7 @@ def key_rows(table: type[Table]) -> Iterator[Row]:
 
 
 def _tables() -> Iterator[tuple[str, type[Table]]]:
-    """Yield the name and the model of each table, as they stand in a file."""
+    """Yield the heading and the model of each table, in the order of a profile's file."""
     yield "Top of the file", Profile
     for layout in get_args(get_args(ArrayLayout)[0]):
         (value,) = get_args(layout.model_fields["layout"].annotation)
@@ -89,7 +89,7 @@ def _tables() -> Iterator[tuple[str, type[Table]]]:
 
 
 def _inner(annotation: Any) -> type[Table] | None:
-    """Return the model of a table, or of each in a dictionary of them."""
+    """Return the model of a table or of the tables in a dictionary; None for other annotations."""
     if inspect.isclass(annotation) and issubclass(annotation, Table):
         return annotation
     return next(filter(None, map(_inner, get_args(annotation))), None)
@@ -150,7 +150,7 @@ def _constraints(annotation: Any, metadata: Any) -> Iterator[Any]:
 
 
 def _attribute_docstrings(table: type[Table]) -> Mapping[str, str]:
-    """Return the text below each attribute of a class."""
+    """Return the docstring below each attribute of a class."""
     (tree,) = ast.parse(textwrap.dedent(inspect.getsource(table))).body
     assert isinstance(tree, ast.ClassDef)
     found = {}

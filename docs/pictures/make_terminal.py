@@ -1,4 +1,4 @@
-"""Takes a picture of `smarttouch live` in a terminal: needs tmux, Chromium and playwright."""
+"""Program that takes the picture `terminal.png` of a run. Needs tmux, Chromium and playwright."""
 
 import io
 import re
@@ -21,15 +21,15 @@ def main() -> None:
     live = "env COLORTERM=truecolor smarttouch live"
     subprocess.run([*TMUX, "new-session", "-d", "-x", "80", "-y", "24", live], check=True)
     try:
-        said = ""
-        while not re.search(r"time.* [2-9]\.\d s", said):
+        shown = ""
+        while not re.search(r"time.* [2-9]\.\d s", shown):
             time.sleep(0.2)
             capture = [*TMUX, "capture-pane", "-p", "-e"]
-            said = subprocess.run(capture, check=True, capture_output=True, text=True).stdout
+            shown = subprocess.run(capture, check=True, capture_output=True, text=True).stdout
     finally:
         subprocess.run([*TMUX, "kill-server"], check=True)
     console = Console(record=True, width=80, file=io.StringIO())
-    console.print(Text.from_ansi(said, no_wrap=True))
+    console.print(Text.from_ansi(shown, no_wrap=True))
     body = console.export_html(theme=MONOKAI, inline_styles=True, code_format="<pre>{code}</pre>")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(

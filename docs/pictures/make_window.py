@@ -1,4 +1,4 @@
-"""Takes the pictures of the window's page from the page itself: needs Chromium and playwright."""
+"""Program that takes the pictures `window*.png` of a run. Needs Chromium and playwright."""
 
 import threading
 from contextlib import contextmanager
@@ -19,7 +19,7 @@ ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "-
 
 @contextmanager
 def running(url):
-    """Start a run with a window on a simulated board; yield its address."""
+    """Start a run with a window on a simulated board, and yield the address of the window."""
     profile, stop = st.load_profile("electric-mouse"), StopRequest()
     window = Window(stop, show=lambda _: None, waits_s=600)
     display = st.open_display("simulated:", profile)
@@ -32,19 +32,18 @@ def running(url):
     try:
         yield window.address
     finally:
-        stop.ask("enough")
+        stop.ask("the pictures are taken")
         thread.join()
 
 
-def take(page, name, whole=False):
-    """Save what a page shows, in colors that are near enough."""
-    image = Image.open(BytesIO(page.screenshot(full_page=whole))).convert("RGB")
-    few = image.quantize(method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    few.save(HERE / name, optimize=True)
+def take(page, name, full_page=False):
+    """Save a screenshot of a page, with few colors for a small file."""
+    image = Image.open(BytesIO(page.screenshot(full_page=full_page))).convert("RGB")
+    palette = image.quantize(method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    palette.save(HERE / name, optimize=True)
 
 
 def main():
-    """Take all pictures."""
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path="/usr/bin/chromium", args=[*ARGUMENTS])
 
@@ -59,7 +58,7 @@ def main():
                 page = opened(address, width)
                 page.wait_for_selector("#electrodes[data-number]")
                 page.wait_for_timeout(3000)
-                take(page, name, whole=width < 1000)
+                take(page, name, full_page=width < 1000)
                 page.close()
         browser.close()
 
