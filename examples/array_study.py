@@ -1,10 +1,10 @@
 """
-Arrays and scans compared
-=========================
+Compare arrays and modes on simulated fingers
+=============================================
 
-A *study* puts letters on many simulated fingers in every combination of what is asked for, and
-reads them from the spikes. ``smarttouch simulate study`` runs one from a file, on all cores or on
-a Dask cluster; here a small one is run in this process.
+A *study* shows letters to many simulated fingers, in all combinations of profiles, anatomies, modes
+and scans, and recognizes each letter from the spikes. ``smarttouch simulate study`` runs the study
+of a file on all cores or on a Dask cluster. This program runs a small study in its own process.
 """
 
 from pathlib import Path
@@ -24,15 +24,15 @@ study = Study(
 )
 
 # %%
-# One row for each finger and letter. Run again with the same folder, only what is missing is felt.
+# Run the study. It returns a row for each combination, finger and letter, and stores the rows in a
+# folder: a second run with the same folder only simulates fingers that are missing there.
 with TemporaryDirectory() as folder, parallel_config("threading", n_jobs=1):
     rows = run_study(study, Path(), Path(folder))
 print(rows[0])
 
 # %%
-# Medians over fingers: how many letters are misread, how many points are silent, how many spikes
-# are of another class, and how many are felt beyond a pitch of every electrode of the letter.
-found = study_sums(rows)
-heading, lines = study_table(found)
+# Print medians over fingers: the shares of misread letters, of points where no afferent fires, of
+# spikes of other classes, and of spikes more than a pitch away from all electrodes of the letter.
+heading, lines = study_table(study_sums(rows))
 for line in [heading, *lines]:
     print("".join(cell.ljust(24 if column == 1 else 11) for column, cell in enumerate(line)))

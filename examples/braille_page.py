@@ -2,9 +2,9 @@
 Braille of a page
 =================
 
-A text becomes Braille cells, cells become dots that pass under the finger, and what an emulated
-board delivered of them is read back. English grade 1 is built in; other languages and
-contractions come from liblouis.
+This program translates a text into Braille cells, moves the dots of the cells under a virtual
+finger, and draws the pulses that an emulated board delivered. English grade 1 is built in. For
+other languages and contractions, install liblouis.
 """
 
 import tempfile
@@ -23,15 +23,15 @@ from smarttouch.lab import (
 )
 
 # %%
-# Cells, and back.
+# Translate a sentence into cells, print the page, and translate the cells back.
 table = open_table("en-1")
 cells = table.to_cells("Touch what a sensor sees.")
 print("\n".join(line for page in lay_out([cells], columns=16) for line in page))
 print(table.to_text(cells))
 
 # %%
-# The same text under the finger. `smarttouch read photo.jpg --as braille` does this with a page
-# that Tesseract has read.
+# Move a line of Braille under the finger. `smarttouch read photo.jpg --as braille` does the same
+# with the text that Tesseract recognizes in a photograph.
 own = st.load_profile("electric-mouse")
 profile = profile_for_reading(own)
 braille = Braille("en-1")
@@ -50,7 +50,7 @@ with tempfile.TemporaryDirectory() as folder:
 print(f"{statistics.slots} slots in {statistics.frames} frames")
 
 # %%
-# Above what passed under the finger, below the delivered pulses.
+# Show the line that passed under the finger (top) and the delivered pulses (bottom).
 figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
 axes.imshow(picture, cmap="gray")
 axes.set_axis_off()

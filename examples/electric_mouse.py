@@ -2,9 +2,8 @@
 The electric mouse
 ==================
 
-A texture lies still while the hand moves over it: each electrode pulses when a ridge passes under
-it, so that the pulse rate is the spatial frequency times the speed, and a hand at rest gets no
-pulse.
+A virtual hand moves over a texture. An electrode pulses when a ridge passes under it, so its rate
+is the texture's spatial frequency times the hand's speed. A hand at rest gets no pulses.
 """
 
 import math
@@ -28,7 +27,7 @@ profile = profile_for_reading(own)
 
 
 def move(texture, speed_mm_s, listeners):
-    """Let a virtual hand pass over a texture."""
+    """Sweep a virtual hand over a texture; return the statistics of the run."""
     motion = open_motion_over(texture, "sweep:", own, speed_mm_s=speed_mm_s)
     source = MouseSource(texture, motion, profile, rate_hz=100, press_n=reading_force_n(profile))
     display = st.open_display("simulated:", profile)
@@ -36,8 +35,8 @@ def move(texture, speed_mm_s, listeners):
 
 
 # %%
-# A 4 mm grating: twice as fast is twice as many pulses. Counted in the middle of a stroke at
-# electrode 27.
+# Check on a grating of 4 mm that twice the speed gives twice the pulse rate. The rate is that of
+# electrode 27, from its median pulse interval.
 grating = open_texture("grating:4mm")
 for speed_mm_s in (20, 40, 80):
     pulses_s: list[float] = []
@@ -48,11 +47,11 @@ for speed_mm_s in (20, 40, 80):
 
     move(grating, speed_mm_s, [note])
     between_s = np.median(np.diff(pulses_s))
-    print(f"{speed_mm_s} mm/s: {1 / between_s:.2f} pulses a second, {speed_mm_s / 4:g} expected")
+    print(f"{speed_mm_s} mm/s: {1 / between_s:.2f} pulses per second, {speed_mm_s / 4:g} expected")
     assert math.isclose(1 / between_s, speed_mm_s / 4, rel_tol=0.05)
 
 # %%
-# A word of 12 mm, and where the pulses were.
+# Move over a printed word, and draw where the pulses were delivered.
 with tempfile.TemporaryDirectory() as folder:
     felt = Path(folder) / "felt.png"
     move(open_texture("text:touch"), 60, [st.DeliveredPicture(felt)])

@@ -1,9 +1,9 @@
 """
-Errors of one sentence
-======================
+Catch errors
+============
 
-All that a user can cause is a `SmartTouchError`: one sentence with the number and what to do.
-Programs go by its class; the command line prints the sentence and exits with 2.
+Every error that a user can cause is a `SmartTouchError`. Its message names the wrong value and what
+to do. Programs catch it by its class; the command line prints it and exits with status 2.
 """
 
 from pathlib import Path
@@ -13,12 +13,12 @@ import smarttouch as st
 
 
 def show(error: st.SmartTouchError) -> None:
-    """Print the class and the sentence."""
+    """Print the class and the message of an error."""
     print(f"{type(error).__name__}: {error}\n")
 
 
 # %%
-# A source, a board, a profile, a setting and a kernel that there are not.
+# Open a source, a board and a profile that do not exist, and set an intensity that is too high.
 profile = st.load_profile("electric-mouse")
 wrong = {
     st.SourceError: lambda: st.open_source("camera:kitchen", profile),
@@ -35,17 +35,17 @@ for kind, call in wrong.items():
         raise AssertionError(f"{kind.__name__} was not raised")
 
 # %%
-# A kernel is asked for by a class and a site of the array.
+# Design the kernel of a class and a site. This array has the sites 0 to 6: site 7 is an error.
 line = st.load_profile("line-7")
 kernel = st.design_kernel(line, "SAI", 3)
-print(f"site 3: {kernel.off_target:.3f} at {kernel.off_target_class.name}\n")
+print(f"site 3: off-target {kernel.off_target:.3f}, at {kernel.off_target_class.name}\n")
 try:
     st.design_kernel(line, "SAI", 7)
 except st.SmartTouchError as error:
     show(error)
 
 # %%
-# A recorder does not overwrite.
+# A recorder does not overwrite a file.
 path = Path(mkdtemp()) / "run.mcap"
 path.write_bytes(b"mine")
 try:

@@ -2,9 +2,9 @@
 First touch
 ===========
 
-A virtual finger reads a word. For each frame that the sensor sees, SmartTouch makes a tactile
-image, how strongly each electrode is to be felt, and from it a scan sequence, the currents that
-do it. Here one instant is looked at, then the whole word is put on an emulated board.
+A virtual finger reads a word. SmartTouch turns each frame of the sensor into a tactile image (how
+strongly each electrode is to be felt) and then into a scan sequence (the currents to send). This
+program draws a frame, its tactile image and its sequence, then sends the word to an emulated board.
 """
 
 import tempfile
@@ -16,16 +16,16 @@ import numpy as np
 import smarttouch as st
 
 # %%
-# A profile describes one device on one finger: electrodes, skin, limits. `steps` goes through a
-# source without a board and without a clock.
+# A profile describes one device on one finger: electrodes, skin, limits. `steps` processes all
+# frames of a source without a board and without waiting.
 profile = st.load_profile("electric-mouse")
 source = st.open_source("text:touch", profile, speed_mm_s=60)
 steps = list(st.steps(source, profile, mode="RA"))
 print(f"{len(steps)} frames; the shipped profiles are {', '.join(st.list_profiles())}")
 
 # %%
-# The step with most points: the frame, its tactile image, and the sequence that is sent. Orange
-# is cathodic, purple anodic; in each slot the currents add up to zero.
+# Draw the step with the most points: the frame, its tactile image and its sequence. Orange is
+# cathodic, purple anodic. The currents of each slot add up to zero.
 step = max(steps, key=lambda each: each.sequence.points)
 rows, columns = profile.array.rows, profile.array.columns
 figure, (seen, touched, sent) = plt.subplots(1, 3, figsize=(9, 3), layout="constrained")
@@ -41,9 +41,9 @@ sent.set(title="sequence", xlabel="electrode", ylabel="slot")
 figure.colorbar(image, label="mA, cathodic positive")
 
 # %%
-# The same on a display, which proves each sequence safe before a byte of it is sent. The board
-# ``simulated:`` has the firmware of a real protocol, in simulated time; ``emulator:`` is the same
-# board in a process of its own, behind a serial line. Its books say what reached the skin.
+# Send the word to a display, which first proves each sequence safe. The board ``simulated:``
+# emulates the wire format and the firmware of a board in simulated time. (``emulator:`` is the same
+# board in its own process, behind a serial line.) The picture shows the delivered pulses.
 with tempfile.TemporaryDirectory() as folder:
     felt = Path(folder) / "felt.png"
     source = st.open_source("text:touch", profile, speed_mm_s=60)

@@ -2,11 +2,10 @@
 Frequency discrimination
 ========================
 
-Which of two trains of pulses was faster? Here a simulated observer answers, who sits at the end
-of the whole chain: every train goes through kernels, safety and an emulated board, on the paper's
-concentric electrode. What it tests is that chain: the observer's sense of frequency was itself
-fitted to the paper's curve. The paper's experiment has 500 trials; this one has fewer, so its
-intervals are wide.
+Which of two pulse trains had the higher frequency? A simulated observer answers, from the pulses
+that an emulated board delivers to the paper's concentric electrode. The example therefore tests the
+software from kernels to board. It does not test the paper, because the observer was fitted to the
+paper's curve. The paper has 500 trials; this program has fewer, so its credible intervals are wide.
 """
 
 import tempfile
@@ -30,7 +29,7 @@ profile = st.load_profile("concentric")
 
 
 def sit(folder, standards, repetitions):
-    """Let the simulated observer sit the experiment; return its file."""
+    """Run the experiment with the simulated observer, and return the file of answers."""
     setup = Setup(profile, standards=standards, repetitions=repetitions, train_s=0.5, seed=1)
     path = Path(folder) / "frequency-RA.csv"
     with open_experiment("frequency", setup, path, "S1") as sitting:
@@ -40,16 +39,16 @@ def sit(folder, standards, repetitions):
 
 
 # %%
-# Each answer is a row of a CSV file; `fit` finds the thresholds, or reports in a sentence why there
-# are none.
+# Run the experiment, which writes each answer as a row of a CSV file, and fit the answers.
+# `judge_answers` returns the thresholds, or the reason why the answers do not determine one.
 with tempfile.TemporaryDirectory() as folder:
     table = read_table(sit(folder, "30", 8))
 model = usual_model(table.answers)
 findings = [judge_answers(each, model) for each in table.answers]
-for found in findings:
-    print(found.answers.standard, "Hz:", found.verdict or "has a threshold")
+for finding in findings:
+    print(finding.answers.standard, "Hz:", finding.verdict or "threshold determined")
 
 # %%
-# Shares judged faster, and the 75 % thresholds.
+# Draw the share of "faster" answers over the comparison frequency, with the 75 % thresholds.
 discrimination_figure([(replace(table, name="RA"), findings)])
 plt.show()

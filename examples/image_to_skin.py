@@ -2,7 +2,7 @@
 From an image to the skin
 =========================
 
-An array, a source and a board of one's own, in one short program of public names.
+This program defines its own electrode array, source and board, and runs them together.
 """
 
 import tomllib
@@ -14,7 +14,7 @@ import smarttouch as st
 from smarttouch.plugins import Capabilities
 
 # %%
-# 5 x 5 discs. A copy of a profile is checked as a file is; its other tables stay as they are.
+# Copy a profile with an array of 5 x 5 discs and other optics. The copy is validated like a file.
 OWN = """
 array = {layout="grid", rows=5, columns=5, pitch_x_mm=2, pitch_y_mm=2, diameter_mm=1}
 optics = {sensor_rows=64, sensor_columns=64, field_width_mm=9, field_height_mm=9, magnification=1}
@@ -23,7 +23,7 @@ profile = st.load_profile("electric-mouse").model_copy(update=tomllib.loads(OWN)
 
 
 class Sliding(st.OpticalSource):
-    """A ring of ink that slides by under the finger in a second."""
+    """Source of frames: a ring of ink that slides under the finger within a second."""
 
     knows_force = True
 
@@ -34,22 +34,22 @@ class Sliding(st.OpticalSource):
         return st.Frame(image.astype(np.uint8), time_ns, force_n=0.9, number=self.frames - 1)
 
 
-class Kept(st.Driver):
-    """Keeps each sequence, which has been proved safe before it comes here."""
+class ListDriver(st.Driver):
+    """Driver that stores each sequence that was proved safe in a list."""
 
     def open(self, line, limits):
-        self.line, self.kept = line, []
+        self.line, self.sequences = line, []
         return Capabilities(25, "weighted", 3.0, max_slots=99, time_to_zero_ms=0, firmware="list")
 
     def write(self, proved):
         with self.line.current(proved):
-            self.kept.append(proved.sequence)
+            self.sequences.append(proved.sequence)
 
     def zero(self): ...
 
 
 own = {"on_a_finger": False, "claimed_time": True}
-steps, board = [], st.Board(Kept(), st.SafetyLimits.of(profile), **own)
+steps, board = [], st.Board(ListDriver(), st.SafetyLimits.of(profile), **own)
 display = st.open_display(board, profile)
 print(st.run(Sliding("a ring"), display, seconds=1, listeners=[steps.append]).slots, "slots")
 figure, (touched, sent) = plt.subplots(1, 2, layout="constrained")

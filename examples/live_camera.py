@@ -2,9 +2,9 @@
 Live camera in OpenCV
 =====================
 
-``smarttouch live camera:0`` takes a camera. In a program of your own that has its frames
-from OpenCV already, a source is a class with one method. Where there is no camera, this example
-films a page by moving a window over it.
+``smarttouch live camera:0`` opens a camera. If your own program gets frames from OpenCV, pass them
+to SmartTouch with a source: a class with one method. This example runs without a camera: a class
+simulates a camera that moves over a printed line.
 """
 
 import cv2
@@ -16,7 +16,7 @@ from smarttouch.lab import print_text
 
 
 class Film:
-    """Stands in for ``cv2.VideoCapture(0)``: a camera that pans over a printed line."""
+    """Simulated camera that pans over a printed line, with the `read` of ``cv2.VideoCapture``."""
 
     def __init__(self, text):
         grey = print_text(text).grey
@@ -25,7 +25,7 @@ class Film:
         self.grey, self.left = np.pad(line, (10, len(line)), constant_values=255), 0
 
     def read(self):
-        """Return whether there is a frame, and the frame, as OpenCV does."""
+        """Return whether there is a frame, and the frame or None."""
         height = self.grey.shape[0]
         window = self.grey[:, self.left : self.left + height]
         self.left += 1
@@ -35,7 +35,7 @@ class Film:
 
 
 class CameraSource(st.OpticalSource):
-    """Gives the frames of anything that has the ``read`` of ``cv2.VideoCapture``."""
+    """Source of the frames of a camera that has the ``read`` of ``cv2.VideoCapture``."""
 
     knows_force = True
 
@@ -50,12 +50,12 @@ class CameraSource(st.OpticalSource):
             return None
         small = cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)
         self.frames += 1
-        # OpenCV has blue first; a frame takes red first, or grey levels.
+        # OpenCV's channel order is blue, green, red; a `Frame` needs red, green, blue.
         return st.Frame(small[:, :, ::-1], time_ns, force_n=0.9, number=self.frames - 1)
 
 
 # %%
-# With a camera at hand: ``CameraSource(cv2.VideoCapture(0), profile)``.
+# Run the source. For a real camera use ``CameraSource(cv2.VideoCapture(0), profile)``.
 profile = st.load_profile("electric-mouse")
 kept = []
 with st.open_display("simulated:", profile) as display:
@@ -64,7 +64,7 @@ with st.open_display("simulated:", profile) as display:
 print(f"{statistics.frames} frames")
 
 # %%
-# What the camera saw, and what the electrodes did.
+# Draw some frames of the camera and, below each, the current at each point of the array.
 figure, panels = plt.subplots(2, 6, figsize=(9, 3.2), layout="constrained")
 for column, result in zip(panels.T, kept[:: max(1, len(kept) // 6)], strict=False):
     column[0].imshow(result.input.image, cmap="gray", vmin=0, vmax=255)

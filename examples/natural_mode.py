@@ -2,9 +2,9 @@
 Natural mode: edges vibrate, areas press
 ========================================
 
-In a finger that moves over print, Meissner corpuscles (RA) answer to what changes and Merkel
-cells (SAI) to what stays. Natural mode drives each by its own kernel: RA where the frame has
-changed, SAI where there is ink.
+In a finger that moves over print, Meissner corpuscles (RA) respond to changes and Merkel cells
+(SAI) to steady pressure. Natural mode stimulates both classes, each with its own kernels: RA where
+the frame changes, SAI where the frame shows ink.
 """
 
 import matplotlib.pyplot as plt
@@ -13,11 +13,11 @@ import numpy as np
 import smarttouch as st
 
 # %%
-# A disc comes under the finger, rests there, and leaves.
+# Process frames of a disc that moves under the finger, rests there, and moves away.
 
 
 class PassingDisc(st.OpticalSource):
-    """A black disc that comes, rests and leaves."""
+    """Source of frames: a black disc that arrives, rests for 0.8 s and leaves."""
 
     knows_force = True
     path_s, path_mm = (0.0, 0.4, 1.2, 1.6), (-8.0, 0.0, 0.0, 8.0)
@@ -38,7 +38,7 @@ steps = list(st.steps(PassingDisc("a disc"), profile, mode="natural"))
 print(f"{len(steps)} sequences, {sum(step.sequence.slots for step in steps)} slots")
 
 # %%
-# How much each class is asked for, over time.
+# Plot the summed activation of each class over time.
 time_s = [step.tactile.time_ns / 1e9 for step in steps]
 figure, axes = plt.subplots(figsize=(7, 2.6), layout="constrained")
 for afferent, color in ((st.Afferent.RA, "#d55e00"), (st.Afferent.SAI, "#0072b2")):
@@ -48,7 +48,7 @@ axes.set(xlabel="time (s)", ylabel="activation, all electrodes")
 axes.legend(frameon=False)
 
 # %%
-# Where: while the disc comes in, and while it rests.
+# Draw the frame and both activations while the disc arrives (top) and while it rests (bottom).
 coming, resting = (
     min(steps, key=lambda each: abs(each.tactile.time_ns / 1e9 - t)) for t in (0.3, 1)
 )

@@ -2,8 +2,8 @@
 A letter on one finger
 ======================
 
-Under the electrodes lie afferents, at places that differ from finger to finger. Which of them fire,
-and where their receptors are, is what is felt.
+Afferents lie under the electrodes, at random places in each simulated finger. What a finger feels
+depends on which afferents fire and on where their receptors are.
 """
 
 import matplotlib.pyplot as plt
@@ -17,7 +17,7 @@ finger = st.Finger(profile, seed=1, anatomy="paper")
 print(f"{len(finger.classes)} afferents")
 
 # %%
-# Steps of a run, without a board, and the finger's response to them.
+# Make the steps of a run without a board, and compute the finger's response to the strongest step.
 steps = list(st.steps(st.open_source("text:T", profile, speed_mm_s=40), profile, seconds=2))
 strongest = max(steps, key=lambda step: np.abs(step.sequence.current_ua).sum(dtype=int))
 feeling = finger.feel(strongest)
@@ -26,7 +26,7 @@ for name, count in feeling.quality.afferents.items():
 print(f"silent points: {feeling.quality.silent_points:.2f}")
 
 # %%
-# The receptors that fired, among the electrodes.
+# Draw the electrodes (active ones in gray) and the receptors of the afferents that fired.
 figure, axes = plt.subplots(figsize=(5, 5), layout="constrained")
 axes.scatter(*profile.electrodes.position_mm.T, s=120, c="white", edgecolors="#707070")
 axes.scatter(*profile.electrodes.position_mm[feeling.active].T, s=120, c="#c8c8c8")

@@ -2,7 +2,7 @@
 An array of your own
 ====================
 
-From a profile, a text of a few lines, to kernels, tactile images, sequences and a run.
+Describe an electrode array in a profile, then make its kernels, tactile images and scan sequences.
 """
 
 from pathlib import Path
@@ -14,8 +14,8 @@ import numpy as np
 import smarttouch as st
 
 # %%
-# 5 x 5 discs of 1.0 mm at 2.0 mm. ``smarttouch profiles new mine.toml`` writes a
-# profile with comments to begin from; the reference explains every key.
+# Write the profile of 5 x 5 discs with a diameter of 1.0 mm and a pitch of 2.0 mm. To begin from a
+# profile with comments, run ``smarttouch profiles new mine.toml``; the reference explains each key.
 PROFILE = """
 title = "An array of my own: 5 x 5 discs of 1.0 mm at 2.0 mm"
 
@@ -39,7 +39,7 @@ node_spacing_mm = 0.1
 [output]
 kind = "weighted"
 
-[optics]  # 5 mm of page under 10 mm of skin
+[optics]  # a field of 5 mm on the page, magnified 3.2 times onto the array
 sensor_columns = 64
 sensor_rows = 64
 field_width_mm = 5.0
@@ -56,7 +56,7 @@ width_us = 200
 discharge_us = 100
 rate_hz = 50.0
 
-[limits]  # may be lower than the ceilings, never higher
+[limits]  # each at most its ceiling (page *Limits*)
 current_ma = 5.0
 total_ma = 10.0
 pulse_us = 200.0
@@ -71,7 +71,7 @@ session_mc = 1800.0
 [frames]
 share = true
 
-[perception]  # until a calibration measures them
+[perception]  # estimates until `smarttouch calibrate thresholds` measures a person
 threshold_ma = 1.2
 comfort_ratio = 2.0
 pc_shift_mm = [0.0, -2.0]
@@ -81,7 +81,7 @@ path.write_text(PROFILE, encoding="utf-8")
 profile = st.load_profile(path)
 
 # %%
-# What is wrong in a profile is said all at once.
+# Load a profile with two mistakes. The error lists both.
 path.with_name("wrong.toml").write_text(PROFILE.replace("rows = 5", "rows = 500\ncolour = 3"))
 try:
     st.load_profile(path.with_name("wrong.toml"))
@@ -89,16 +89,16 @@ except st.ProfileError as error:
     print(*(sentence for _, sentence in error.complaints), sep="\n")
 
 # %%
-# Kernels are designed once and kept for the next time. Positive is cathodic.
+# Design the kernel of the middle site, then all kernels, which `load_kernels` caches for next time.
 kernel = st.design_kernel(profile, "RA", 12)
-print(f"the middle one reaches {kernel.off_target_class.name} by {kernel.off_target:.3f}")
+print(f"site 12: off-target {kernel.off_target:.3f}, at {kernel.off_target_class.name}")
 kernels = st.load_kernels(profile)
 
 
 # %%
-# A source of your own is a class with one method.
+# Define a source: a class with the method `read`.
 class Wipe(st.OpticalSource):
-    """A black bar that wipes over white paper in a second."""
+    """Source of frames: a black bar that moves over white paper within a second."""
 
     knows_force = True
 
@@ -113,11 +113,11 @@ class Wipe(st.OpticalSource):
 
 
 # %%
-# Each frame with its tactile image and sequence, without a board or a clock.
+# Process all frames without a board and without waiting.
 steps = list(st.steps(Wipe("a bar"), profile, mode="RA", kernels=kernels))
 
 # %%
-# The same on a display, which proves each sequence safe before it is sent.
+# Run the source on a display, which sends only sequences that it has proved safe.
 strongest_ma: list[float] = []
 with st.open_display("simulated:", profile) as display:
     statistics = st.run(
@@ -126,7 +126,7 @@ with st.open_display("simulated:", profile) as display:
         mode="RA",
         listeners=[lambda result: strongest_ma.append(result.delivered_ma.max())],
     )
-print(f"{statistics.frames} frames, {statistics.slots} slots, {max(strongest_ma):.2f} mA at most")
+print(f"{statistics.frames} frames, {statistics.slots} slots; peak {max(strongest_ma):.2f} mA")
 
 # %%
 figure, (seen, touched, sent) = plt.subplots(1, 3, figsize=(9, 3.2), layout="constrained")

@@ -2,10 +2,10 @@
 A board of your own
 ===================
 
-A board has a driver: a class with three methods. `Board` does the rest: it proves each sequence
-safe, counts the dose, and ends in zero. This driver keeps what it is sent in a list. One with a
-wire, packed so that ``smarttouch live --board NAME:`` finds it, and with the tests that it must
-pass, is in the how-to *A board of your own*.
+To support a board, write a driver: a class with three methods. `Board` does the rest: it proves
+each sequence safe, limits the dose, and sets all electrodes to zero at the end. The driver in this
+example stores sequences in a list. For a serial board, read the page *A board of your own*, which
+also shows tests and a package, so that ``smarttouch live --board NAME:`` finds the driver.
 """
 
 from dataclasses import replace
@@ -18,7 +18,7 @@ from smarttouch.plugins import Capabilities, Line, ProvedSequence
 
 
 class ListDriver(st.Driver):
-    """Keeps each sequence in a list."""
+    """Driver that stores each sequence in a list."""
 
     def __init__(self) -> None:
         self.sequences: list[st.ScanSequence] = []
@@ -35,12 +35,12 @@ class ListDriver(st.Driver):
             self.sequences.append(proved.sequence)
 
     def zero(self) -> None:
-        """A list is always at zero."""
+        """Do nothing: a list drives no current."""
 
 
 # %%
-# Put a run on it. A list makes no current: no finger is on this board, and its time is what
-# sequences state.
+# Run a source on the board. No finger can touch this board, so the gate may use the times stated in
+# sequences (``claimed_time``) instead of a clock.
 profile = st.load_profile("electric-mouse")
 source = st.open_source("text:a", profile, speed_mm_s=60)
 driver = ListDriver()
@@ -51,8 +51,8 @@ with st.open_display(board, profile) as display:
 print(f"{statistics.frames} frames, {len(driver.sequences)} sequences")
 
 # %%
-# Every sequence that arrives has been proved, and cannot be written to. What is not safe does not
-# arrive: here each current is five times as strong.
+# Try to change a proved sequence: it is read-only. Then try to send a sequence with five times the
+# current: the safety gate rejects it.
 sequence = max(driver.sequences, key=lambda each: each.slots)
 try:
     sequence.current_ua[0] = 5000
@@ -65,7 +65,7 @@ with board:
         print(error)
 
 # %%
-# The sequence with most slots, as the board got it.
+# Draw the received sequence that has the most slots.
 current_ma = sequence.current_ua / 1000
 most_ma = np.abs(current_ma).max()
 figure, axes = plt.subplots(figsize=(7, 2.4), layout="constrained")

@@ -2,9 +2,9 @@
 An experiment of your own
 =========================
 
-In which of two intervals had the bar a gap? An experiment is a generator: it yields a trial, gets
-its answer and chooses the next. The terminal, the file of answers and the fit come with it. The
-command ``smarttouch experiment run own_experiment.py --subject S1`` runs this file as it stands.
+In which of two intervals did the bar have a gap? An experiment is a generator that yields trials
+and receives the answers. SmartTouch asks the questions, stores the answers and fits them. To run
+the experiment of this file, type ``smarttouch experiment run own_experiment.py --subject S1``.
 """
 
 import subprocess
@@ -18,7 +18,7 @@ from smarttouch.lab import Experiment, ask, in_two_intervals
 
 
 def gaps(setup):
-    """A whole bar in one interval, one with a gap in the other."""
+    """Yield trials with two intervals: a bar without a gap, and a bar with a gap."""
     x_mm, y_mm = setup.profile.electrodes.position_mm.T
     row = y_mm == y_mm[setup.place]
 
@@ -35,8 +35,8 @@ def gaps(setup):
 experiment = Experiment("which had a gap: width, mm", gaps)
 
 # %%
-# Somebody who guesses sits it on a simulated board; with a person it is the same command without
-# ``--simulate`` and with ``--board``.
+# Run the experiment with a simulated subject who guesses. With a person, use the same command with
+# ``--board`` instead of ``--simulate``.
 if __name__ == "__main__":
     answers = Path(mkdtemp()) / "answers.csv"
     command = ["experiment", "run", f"{sys.argv[0]}?repetitions=1", "--simulate", "random"]

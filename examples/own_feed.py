@@ -1,9 +1,9 @@
 """
-A feed of your own
-==================
+Patterns from another program
+=============================
 
-Another program sends by UDP where something is; what comes is felt at once, and half a second
-without it is zero current.
+Another program sends electrode numbers by UDP. Each number is shown at once. If no number arrives
+for half a second, the current is zero.
 """
 
 import socket
@@ -16,7 +16,7 @@ import smarttouch as st
 
 
 def send(port: int, count: int = 60) -> None:
-    """Send an electrode, 60 times a second: the other program."""
+    """Simulate the other program: send an electrode number 60 times per second."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         for number in range(count):
             line.sendto(bytes([24 + number % 8]), ("127.0.0.1", port))
@@ -24,8 +24,8 @@ def send(port: int, count: int = 60) -> None:
 
 
 # %%
-# On a real board: ``link:PORT`` in place of ``simulated:``, and ``force="fixed:0.9"`` where a
-# finger presses that nothing measures.
+# Receive numbers and show them. With a real board, replace ``simulated:`` by ``link:PORT``. If the
+# board has no force sensor, also pass ``force="fixed:0.9"`` to `session`.
 line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 line.bind(("127.0.0.1", 0))
 line.settimeout(1.0)
@@ -39,4 +39,4 @@ with line, display.session(mode="RA", intensity=0.6, paced=True) as touch:
         pattern[line.recv(1)[0]] = 1
         touch.put(pattern, stale_s=0.5)
     sender.join()
-print(f"{touch.statistics.delivered} sequences with pulses, {touch.statistics.slots} pulses")
+print(f"{touch.statistics.delivered} sequences with pulses, {touch.statistics.slots} slots")

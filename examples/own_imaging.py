@@ -1,9 +1,9 @@
 """
-A fingertip camera with a gel
-=============================
+Your own imaging: a tactile sensor with a gel
+=============================================
 
-Where a gel fingertip presses on something, its camera sees how deep. Depth becomes pressure (SAI),
-and where depth changes, touch (RA): imaging of one's own in place of binarization.
+A camera behind a gel sees how deep an object presses into the gel. In this example, a class of your
+own replaces the imaging of text: depth stimulates SAI, and changes of depth stimulate RA.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from smarttouch.types import ElectrodeArray
 
 
 def indentations(count: int = 60) -> Iterator[np.ndarray]:
-    """Yield what the camera sees while a ball of 3 mm is pressed into the gel and rolls away."""
+    """Yield the camera's images while a ball is pressed into the gel and then rolls over it."""
     y, x = np.mgrid[0:64, 0:64] / 64 * 14  # mm
     for step in range(count):
         press, along = min(1.0, step / 20), 4 + 6 * max(0, step - 20) / 40
@@ -26,7 +26,7 @@ def indentations(count: int = 60) -> Iterator[np.ndarray]:
 
 
 class Indentation:
-    """Activation of SAI by depth, and of RA by its change from frame to frame."""
+    """Imaging that maps depth to SAI, and the change of depth between frames to RA."""
 
     before: np.ndarray | None = None
 
@@ -39,7 +39,7 @@ class Indentation:
 
 
 # %%
-# The same call as for text; recordings keep the images and what was made of them.
+# Pass the images and the imaging to `run`.
 
 results: list[st.StepResult] = []
 display = st.open_display("simulated:", "electric-mouse")
@@ -49,7 +49,7 @@ statistics = st.run(
 print(f"{statistics.frames} sequences, {statistics.slots} slots")
 
 # %%
-# Pressed, and rolling: SAI where the ball is, RA along its edge.
+# Draw SAI (top) and RA (bottom) while the ball is pressed in (columns 1, 2) and rolls (column 3).
 
 figure, axes = plt.subplots(2, 3, figsize=(7, 4.6), layout="constrained")
 for column, when in zip(axes.T, (10, 20, 50), strict=True):

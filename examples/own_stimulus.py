@@ -2,8 +2,8 @@
 Touch without a sensor
 ======================
 
-A stimulus source determines itself what each electrode is to do: it gives tactile images instead of
-frames. Here a point goes around in a circle. A listener follows the run.
+A stimulus source returns tactile images instead of frames, so it chooses the activation of each
+electrode. Here a point moves in a circle. A listener counts the pulses of each electrode.
 """
 
 import math
@@ -16,10 +16,10 @@ from smarttouch.lab import profile_for_reading, reading_force_n
 
 
 # %%
-# `read` returns the stimulus at a time. Each has its own duration; every electrode that is
-# active in it pulses once.
+# Define a source. Its `read` returns the stimulus at a time, here with a duration of 20 ms. Each
+# active electrode pulses once per stimulus.
 class Circle(st.StimulusSource):
-    """A point of RA that goes around the middle of the array, twice."""
+    """Source of RA stimuli: a point that moves twice around the middle of the array."""
 
     knows_force = True
 
@@ -42,30 +42,30 @@ class Circle(st.StimulusSource):
 
 
 # %%
-# A listener sees each step as it is sent, and the events of the run.
+# Define a listener. The run calls `step` with each step that was sent.
 class Trail(st.Listener):
-    """Adds up the pulses of each electrode."""
+    """Listener that counts the pulses of each electrode."""
 
     def __init__(self, display: st.Display) -> None:
         super().__init__()
         self.pulses = np.zeros(len(display.profile.electrodes), int)
-        self.slots_a_step: list[int] = []
+        self.slots: list[int] = []
 
     def step(self, result: st.StepResult) -> None:
         image: st.TactileImage = result.tactile
         sequence: st.ScanSequence = result.sequence
         self.pulses += image.activation.any(axis=0)
-        self.slots_a_step.append(sequence.slots)
+        self.slots.append(sequence.slots)
 
 
 profile = profile_for_reading(st.load_profile("electric-mouse"))
 with st.open_display("simulated:", profile) as display:
     trail = Trail(display)
     statistics: st.RunStatistics = st.run(Circle(profile), display, mode="RA", listeners=[trail])
-print(f"{statistics.frames} stimuli in {statistics.slots} slots, {max(trail.slots_a_step)} at most")
+print(f"{statistics.frames} stimuli, {statistics.slots} slots, at most {max(trail.slots)} each")
 
 # %%
-# Where the point went.
+# Draw the number of pulses of each electrode.
 figure, axes = plt.subplots(figsize=(4.6, 4), layout="constrained")
 x_mm, y_mm = profile.electrodes.position_mm.T
 drawn = axes.scatter(x_mm, y_mm, c=trail.pulses, cmap="Oranges", s=160, edgecolors="#707070")

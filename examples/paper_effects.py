@@ -2,11 +2,10 @@
 The paper's effects on simulated fingers
 ========================================
 
-Order of sensations, blur by polarity, the shift of PC, and the concentric electrode (Sections III-B
-and III-C). Blur and the concentric electrode follow from the anatomy alone. That PC joins between
-SAI and RA was put in, by PC's threshold factor of 2 (with 1 it comes first), and how far PC is felt
-aside follows from how long its axons are assumed to be. The numbers are printed by
-``examples/studies/finger_effects.py``.
+Four effects from Sections III-B and III-C of the paper: the order of sensations, blur by polarity,
+the shift of PC, and the concentric electrode. Two of them depend on our assumptions. PC fires after
+SAI and before RA because we doubled the threshold of PC; otherwise PC would fire first. The shift of
+PC depends on the assumed length of its axons. ``studies/finger_effects.py`` prints the numbers.
 """
 
 import matplotlib.pyplot as plt
@@ -21,23 +20,23 @@ sites = finger_effects.inner_sites(profile)
 fingers = [st.Finger(profile, seed, "paper") for seed in range(1, 9)]
 
 # %%
-# SAI mode on lines, with a current that rises: pressure first, vibration later, as in Section
-# III-B.1 (there at 0.4, 0.6 and 1.0 mA; the fingers' cables need some fifteen times as much).
+# SAI mode on line electrodes, with rising current: first pressure, then vibration, as in Section
+# III-B.1. (The paper reports 0.4, 0.6 and 1.0 mA; simulated fingers need about 15 times as much.)
 _, order = plt.subplots(figsize=(5, 4.5), layout="constrained")
 stages = finger_effects.stages("paper", range(1, 8))
 least_ma = min(current_ma[0] for current_ma in stages.values())
 for afferent, current_ma in stages.items():
     order.step(current_ma / least_ma, np.arange(1, 11), where="post",
                color=CLASS_COLORS[afferent], label=afferent.name)  # fmt: skip
-    print(f"{afferent.name} joins at {current_ma[0] / least_ma:.1f} times the first current")
-order.set(xlim=(0.8, 4), xlabel="current over that of the first afferent", ylabel="afferents",
+    print(f"{afferent.name} first fires at {current_ma[0] / least_ma:.1f} times the lowest current")
+order.set(xlim=(0.8, 4), xlabel="current / lowest threshold", ylabel="afferents that fire",
           title="SAI mode: pressure, then vibration")  # fmt: skip
 order.legend()
 plt.show()
 
 # %%
-# Receptors of the axons that one electrode fires, from the electrode: an anode reaches what lies
-# below it, a cathode axons in passing (Fig. 15).
+# Draw the receptors of the axons that one electrode fires, relative to this electrode (Fig. 15).
+# A cathode also fires axons that only pass below it, whose receptors are farther away.
 _, blur = plt.subplots(figsize=(5, 4.5), layout="constrained")
 for cathodic, color in ((True, CATHODIC), (False, ANODIC)):
     current_ma = 2.4 * finger_effects.against_all(profile, cathodic)
@@ -49,7 +48,7 @@ for cathodic, color in ((True, CATHODIC), (False, ANODIC)):
     name = "cathodic" if cathodic else "anodic"
     blur.scatter(*np.concatenate(away).T, s=8, color=color, label=name)
     found = finger_effects.shift(fingers, current_ma, sites, list(st.Afferent))
-    print(f"{name}: receptors {found.away_mm:.1f} mm from the electrode")
+    print(f"{name}: receptors {found.away_mm:.1f} mm (RMS) from the electrode")
 blur.set(
     xlabel="x (mm)", ylabel="y (mm), palm below", aspect="equal", title="One electrode, 2.4 mA"
 )
@@ -58,7 +57,8 @@ blur.legend()
 plt.show()
 
 # %%
-# PC mode: the receptors of the PC axons that fire lie toward the fingertip (Section III-B.4).
+# In PC mode, the receptors of the PC axons that fire lie toward the fingertip (Section III-B.4).
+# Gray: the shift of 1 to 3 mm in the paper. Black: the mean of the simulated fingers.
 _, shifted = plt.subplots(figsize=(5, 4.5), layout="constrained")
 current_ma = 2.4 * finger_effects.kernel_ma(profile, st.load_kernels(profile), st.Afferent.PC)
 found = finger_effects.shift(fingers, current_ma, sites, [st.Afferent.PC])
@@ -75,7 +75,7 @@ plt.show()
 print(f"PC is felt {-found.y_mm:.1f} mm toward the fingertip")
 
 # %%
-# The concentric electrode of Section III-C, an array of two shapes, under an anodic middle.
+# Draw the afferents that the concentric electrode of Section III-C fires: an anodic disc in a ring.
 _, ring = plt.subplots(figsize=(5, 4.5), layout="constrained")
 electrode = st.load_profile("concentric")
 finger = st.Finger(electrode, 4, "paper")

@@ -2,9 +2,9 @@
 The paper's figures, redrawn
 ============================
 
-Figures 5, 8, 9 and 10 of Kajimoto, Kawakami and Tachi, from its equations on its line array: what a
-line electrode does to an axon, and which patterns of currents choose between axons by their depth
-and by their direction.
+Figures 5, 8, 9 and 10 of Kajimoto, Kawakami and Tachi, computed from the paper's equations for its
+line array. They show what a line electrode does to an axon, and how patterns of currents select
+axons by depth and by direction.
 """
 
 import matplotlib.pyplot as plt
@@ -28,8 +28,8 @@ center = 3
 across_mm, depths_mm = np.linspace(-4, 4, 321), np.linspace(0.1, 3.0, 146)
 
 # %%
-# The activating function (AF) of a horizontal axon under one cathodic line electrode (Eq. 5). It
-# depolarizes the axon under the electrode, less the deeper the axon lies.
+# The activating function (AF) of a horizontal axon under one cathodic line electrode (Eq. 5). Under
+# the electrode the AF is positive, so it depolarizes the axon. It is smaller for deeper axons.
 highest = float(line_in_plane(np.zeros(1), line.skin.ra_depth_mm).xx[0])
 figure, axes = plt.subplots(figsize=(5, 3), layout="constrained")
 for afferent in st.Afferent:
@@ -39,38 +39,38 @@ for afferent in st.Afferent:
 axes.axhline(0, color=GREY, lw=0.6)
 axes.legend(frameon=False, fontsize=8)
 axes.set(xlabel="place along the axon (mm)", title="Fig. 5",
-         ylabel=f"AF, of the largest at {line.skin.ra_depth_mm:g} mm")  # fmt: skip
+         ylabel=f"AF / largest AF at {line.skin.ra_depth_mm:g} mm")  # fmt: skip
 plt.show()
 
 # %%
-# The optimal weights of the three modes, cathodic up (Fig. 8), by the paper's programme alone, with
-# no bound on the own class beside the target. The ratios are ours; the paper prints none.
+# The optimal weights of the three modes (Fig. 8), by the paper's linear program, which does not
+# limit spill. The paper does not print the off-target values that are in the titles.
 figure, panels = plt.subplots(1, 3, figsize=(7.5, 2.6), sharey=True, layout="constrained")
 for axes, afferent in zip(panels, ("SAI", "PC", "RA"), strict=True):
     kernel = st.design_kernel(line, afferent, center, model="paper")
     draw_weights(axes, line, kernel.peak_normalized)
-    axes.set(xlabel="electrode (mm)", title=f"{afferent}: worst other {kernel.off_target:.3g}")
+    axes.set(xlabel="electrode (mm)", title=f"{afferent}: off-target {kernel.off_target:.3g}")
     print(f"{afferent} mode: {np.round(kernel.peak_normalized, 2).tolist()}")
 panels[0].set_ylabel("weight, cathodic up")
 plt.show()
 
 
 # %%
-# Depth: anodes around the cathode leave less for the deep axons, cathodes around it more (Fig. 9).
-# The weights are chosen by hand to show it, as the paper prints none for this figure.
-def af_of(weights, x_mm, depths, rising):
-    """Return the AF of a pattern over depths and places, (D, X)."""
-    direction = np.array([0.0, 0, 1]) if rising else np.array([1.0, 0, 0])
+# Selection by depth (Fig. 9): anodes beside the cathode weaken the AF of deep axons, and cathodes
+# beside it strengthen this AF. We chose the weights, because the paper does not print them.
+def af_of(weights, x_mm, depths, vertical):
+    """Return the AF of a pattern, (D, X), at depths and at places along x."""
+    direction = np.array([0.0, 0, 1]) if vertical else np.array([1.0, 0, 0])
     places = np.column_stack([x_mm, np.zeros_like(x_mm)])
     fields = (field_at(line.electrodes, line.skin, places, float(each))[0] for each in depths)
     return np.array([found.along(direction) @ weights for found in fields])
 
 
-def draw_depths(axes, weights, rising, title):
-    """Draw the AF over place and depth, and the electrodes above it."""
-    af = af_of(weights, across_mm, depths_mm, rising)
+def draw_depths(axes, weights, vertical, title):
+    """Draw the AF over x and depth, with the electrodes and their weights at the top."""
+    af = af_of(weights, across_mm, depths_mm, vertical)
     af /= np.abs(af[depths_mm >= 0.3]).max()
-    # Cube roots show both the strong AF under the electrode and the weak one in the deep.
+    # Draw cube roots, so that the strong AF under the electrode and the weak AF below are visible.
     drawn = draw_field(axes, across_mm, depths_mm, np.cbrt(af))
     axes.contour(across_mm, depths_mm, af, levels=[0], colors=GREY, linewidths=0.6)
     for place, weight in zip(line.electrodes.position_mm[:, 0], weights, strict=True):
@@ -86,7 +86,7 @@ def draw_depths(axes, weights, rising, title):
 
 
 def add_scale(figure, drawn, panels):
-    """Add the scale of the colors, whose cube roots are drawn."""
+    """Add a color scale labeled with AF values, although colors show their cube roots."""
     bar = figure.colorbar(drawn, ax=panels, ticks=np.cbrt([-1, -0.1, -0.01, 0, 0.01, 0.1, 1]))
     bar.ax.set_yticklabels(["−1", "−.1", "−.01", "0", ".01", ".1", "1"], fontsize=7)
     bar.set_label("AF, depolarizing above 0", fontsize=8)
@@ -104,7 +104,7 @@ for (left, right), (title, weights) in zip(panels, patterns.items(), strict=True
     for pattern, style, color in ((weights, "-", CATHODIC), (alone, ":", GREY)):
         below = af_of(pattern, np.zeros(1), below_mm, False)[:, 0]
         below /= below[np.abs(below_mm - line.skin.sai_depth_mm).argmin()]
-        name = "this pattern" if style == "-" else "the cathode alone"
+        name = "this pattern" if style == "-" else "only the cathode"
         right.plot(below, below_mm, style, color=color, label=name)
     for afferent in (st.Afferent.SAI, st.Afferent.PC):
         depth = depth_mm(line.skin, afferent)
@@ -117,15 +117,15 @@ add_scale(figure, drawn, panels)
 plt.show()
 
 # %%
-# Direction: a cathode depolarizes horizontal axons, an anode rising ones (Fig. 10). Under lines the
-# two are opposite and equal; under discs, with two horizontal directions, a rising axon gets minus
-# the sum of both: right under a disc twice as much.
+# Selection by direction (Fig. 10): a cathode depolarizes horizontal axons, an anode vertical axons.
+# Under a line electrode, vertical and horizontal axons have opposite, equal AFs. Right under a disc
+# the AF of vertical axons is twice as large, because the AFs along x, y and z add up to zero.
 figure, panels = plt.subplots(2, 2, figsize=(7.5, 5.2), layout="constrained")
 for row, (weights, name) in zip(
     panels, ((alone, "(a) cathode"), (-alone, "(b) anode")), strict=True
 ):
-    for axes, rising in zip(row, (False, True), strict=True):
-        axons = "rising axons (RA)" if rising else "horizontal axons (SAI, PC)"
-        drawn = draw_depths(axes, weights, rising, f"{name}, {axons}")
+    for axes, vertical in zip(row, (False, True), strict=True):
+        axons = "vertical axons (RA)" if vertical else "horizontal axons (SAI, PC)"
+        drawn = draw_depths(axes, weights, vertical, f"{name}, {axons}")
 add_scale(figure, drawn, panels)
 plt.show()

@@ -2,8 +2,8 @@
 Read a photographed page
 ========================
 
-A soft, unevenly lit and slightly turned photograph of a page is made flat and level, its lines
-are found, and each moves under the finger, magnified so that it fills the rows of the array.
+The photograph of a page is blurred, unevenly lit and slightly rotated. SmartTouch corrects it and
+finds its lines. Then each line moves under the finger, magnified to the height of the array.
 """
 
 import tempfile
@@ -21,15 +21,15 @@ from smarttouch.lab import (
 )
 
 # %%
-# The photograph.
+# Show the photograph.
 path = data_folder("sample_images") / "photo.png"
 figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
 axes.imshow(plt.imread(path), cmap="gray")
 axes.set_axis_off()
 
 # %%
-# The first five seconds of reading it. `smarttouch read photo.png` does the same in a terminal,
-# with keys for lines and pauses.
+# Read for five seconds. `smarttouch read photo.png` does the same in a terminal, where keys change
+# the line or pause.
 own = st.load_profile("electric-mouse")
 profile = profile_for_reading(own)
 shapes = Shapes()
@@ -48,7 +48,7 @@ with tempfile.TemporaryDirectory() as folder:
 print(f"{statistics.slots} slots in {statistics.frames} frames")
 
 # %%
-# Above what passed under the finger, below the delivered pulses.
+# Show the line that passed under the finger (top) and the delivered pulses (bottom).
 figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
 axes.imshow(picture, cmap="gray")
 axes.set_axis_off()

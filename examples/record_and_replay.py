@@ -2,9 +2,9 @@
 Record a run, and replay it in your tests
 =========================================
 
-A recording keeps frames, forces, sequences and all settings in one file. Replayed through today's
-program it gives the same sequences to the last microampere, or a list of differences: a test that
-shows when a change of yours, or of SmartTouch, changes what a finger would feel.
+A recording stores frames, forces, sequences and all settings in one file. A test can process the
+recorded frames again and compare the new sequences with the recorded sequences, exactly to the
+microampere. The test fails if a change of your code or of SmartTouch changes what a finger feels.
 """
 
 from pathlib import Path
@@ -16,7 +16,7 @@ from smarttouch.lab import assert_replays, check_recording
 path = Path(mkdtemp()) / "line-1.mcap"
 
 # %%
-# Record.
+# Record a run.
 profile = st.load_profile("electric-mouse")
 source = st.open_source("text:touch", profile, speed_mm_s=60)
 with st.open_display("simulated:", profile) as display:
@@ -24,12 +24,12 @@ with st.open_display("simulated:", profile) as display:
 print(f"{path.name}: {path.stat().st_size // 1000} kB")
 
 # %%
-# In a test of yours this is a line; pytest finds the fixture ``replays`` by itself, which does it
-# too. It raises an AssertionError that lists the differences.
+# Check the recording in your test with `assert_replays`, or with the pytest fixture ``replays``. If
+# sequences differ, both raise an AssertionError that lists the differences.
 assert_replays(path)
 
 # %%
-# A change that a finger would feel does not pass: here full intensity at a lighter touch.
+# Check with a profile that gives full intensity at less force, and print the differences.
 changed = profile.model_dump()
 changed["force"]["full_n"] *= 0.9
 report = check_recording(path, profile=st.Profile.model_validate(changed))
@@ -37,7 +37,7 @@ print("\n".join(report.describe().splitlines()[:3]))
 assert not report.exact
 
 # %%
-# The same frames on another display, say with other kernels or another board.
+# Replay the recorded frames on a display, which may have other kernels or another board.
 with st.open_display("simulated:", profile) as display:
     statistics = st.replay(path, display)
-print(f"{statistics.slots} slots once more")
+print(f"{statistics.slots} slots replayed")

@@ -2,8 +2,8 @@
 Limits of the safety gate
 =========================
 
-No sequence reaches a board before it is proved safe, and what is proved is what is sent. Limits
-that are broken raise an error with the number; nothing is clamped.
+The safety gate proves each sequence safe, and sends exactly the copy that it has proved. If a
+sequence exceeds a limit, `send` raises an error with the value. Values are never clamped.
 """
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ import numpy as np
 import smarttouch as st
 
 # %%
-# Limits are those of the profile. A profile may ask for less than the ceilings, never for more.
+# Load a profile, and make a sequence from the letter a. Then print two limits of the profile.
 profile = st.load_profile("electric-mouse")
 source = st.open_source("text:a", profile, speed_mm_s=60)
 step = max(st.steps(source, profile, mode="RA"), key=lambda each: each.sequence.slots)
@@ -25,7 +25,7 @@ print(f"{limits.current_ma} mA an electrode, {limits.total_ma} mA in a slot")
 
 
 # %%
-# Each change makes one thing wrong.
+# Try to send six sequences that each break one rule, and print the errors.
 def changed(**fields):
     return replace(sequence, **fields)
 
@@ -33,7 +33,7 @@ def changed(**fields):
 unbalanced = sequence.current_ua.copy()
 unbalanced[0, 0] += 100
 wrong = {
-    "full intensity at once": sequence,
+    "full intensity without a ramp": sequence,
     "four times the current": changed(current_ua=(4 * sequence.current_ua).astype(np.int16)),
     "currents that do not add up to zero": changed(current_ua=unbalanced),
     "a longer pulse": changed(width_us=np.full_like(sequence.width_us, 300)),
@@ -51,9 +51,9 @@ for name, each in wrong.items():
 
 
 # %%
-# In a run intensity rises from nothing, and the currents with it, however hard the finger presses.
+# In a run, the ramp raises intensity from zero, even if the finger presses hard at once.
 class Disc(st.OpticalSource):
-    """A black disc under a finger that presses from 0.2 to 1.4 s."""
+    """Source of frames: a black disc under a finger that presses from 0.2 to 1.4 s."""
 
     knows_force = True
 

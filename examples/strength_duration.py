@@ -2,9 +2,9 @@
 Strength and duration
 =====================
 
-How strong must a pulse be, depending on its width? In a fiber with active membrane threshold falls
-with width by Weiss' law, with a rheobase and a chronaxie. It is the check on the activating
-function, which depends on places, not on time.
+How does the threshold of a fiber depend on pulse width? In a cable model with active membrane it
+follows Weiss's law, with a rheobase and a chronaxie. The activating function cannot predict this,
+because it does not depend on time.
 """
 
 import matplotlib.pyplot as plt
@@ -15,8 +15,8 @@ import smarttouch as st
 from smarttouch.lab import ANODIC, CATHODIC, Fiber, threshold_ma, weiss_fit
 
 # %%
-# One electrode of 1.0 mm, a fiber that runs flat 0.9 mm below it (SAI): five widths, both
-# polarities.
+# Compute thresholds of a flat fiber 0.9 mm below a disc of 1.0 mm (SAI), for five widths and both
+# polarities, and fit Weiss's law.
 profile = st.load_profile("electric-mouse")
 widths_us = np.array([20.0, 35.0, 60.0, 100.0, 200.0])
 fiber = Fiber(end="through")
@@ -30,7 +30,7 @@ for name, cathodic, color in (("cathodic", True, CATHODIC), ("anodic", False, AN
     axes.plot(widths_us, fires_ma, "o", color=color, label=f"{name}, cable model")
     dense_us = np.linspace(18, 210, 100)
     axes.plot(
-        dense_us, rheobase_ma * (1 + chronaxie_us / dense_us), color=color, label="Weiss' law"
+        dense_us, rheobase_ma * (1 + chronaxie_us / dense_us), color=color, label="Weiss's law"
     )
 axes.axhline(profile.limits.current_ma, color="#707070", ls=":", label="limit of the profile")
 axes.set(xlabel="pulse width (µs)", ylabel="threshold (mA)", yscale="log")

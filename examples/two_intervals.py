@@ -2,8 +2,8 @@
 Two intervals and an answer
 ===========================
 
-Which of two gaps is wider? Each interval is shown at its level from the first pulse to the last, or
-is an error: a session opens the level once, and keeps it open while somebody thinks.
+Which of two gaps is wider? A session raises the intensity once, and keeps it for up to 15 s without
+pulses, while the subject answers. `show` raises an error if a pattern loses its intensity.
 """
 
 import csv
@@ -20,12 +20,13 @@ rows = csv.writer(sys.stdout)
 
 
 def bars(gap_mm: float) -> np.ndarray:
-    """Return activation of two bars beside a gap."""
+    """Return the activation of two bars with a gap between them, (E,)."""
     return (np.abs(np.abs(columns_mm) - gap_mm / 2 - 0.5) < 0.6).astype(np.float32)
 
 
 # %%
-# A person answers by ``input("1 or 2? ")`` in place of what stands here, on a board of their own.
+# Run trials in which the program always answers correctly. In an experiment with a person, replace
+# this answer by ``input("1 or 2? ")``.
 with display.session(mode="RA", intensity=0.8) as touch:
     touch.rise()
     for trial in range(8):
