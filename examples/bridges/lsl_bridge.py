@@ -1,13 +1,13 @@
-"""Show the samples of a stream of the Lab Streaming Layer (LSL), and send a marker of each.
+"""Bridge from the Lab Streaming Layer (LSL): shows each sample of a stream, and sends markers.
 
     python lsl_bridge.py NAME BOARD INTENSITY [FORCE]
 
-WARNING: LSL has no password. Anybody on this network can offer a stream of this name, and steer
-the current up to this intensity and the limits of the profile.
+WARNING: LSL has no password. Anybody on this network can offer a stream with the same name, and
+then control the current, up to INTENSITY and the limits of the profile.
 
-A sample with a number for each electrode is activation, 0 to 1; any other is a square image of
-what a sensor sees, row by row, 0 (black) to 255. The stream smarttouch-markers names each pattern
-when it pulses.
+A sample with as many numbers as there are electrodes is their activation, 0 to 1. Any other sample
+is a square image, row by row, 0 (black) to 255. When a pattern pulses, the bridge sends the number
+of the pattern on the stream smarttouch-markers.
 """
 
 import sys
@@ -20,8 +20,8 @@ import smarttouch as st
 
 
 def main(name: str, board: str, intensity: str, force: str | None = None) -> None:
-    """Put each sample until the stream ends."""
-    print(f"WARNING: anybody on this network can steer the current, by a stream named {name}")
+    """Show each sample until the stream ends."""
+    print(f"WARNING: anybody on this network can control the current with a stream named {name}")
     info = pylsl.StreamInfo("smarttouch-markers", "Markers", 1, 0, "string", "smarttouch")
     markers, display = pylsl.StreamOutlet(info), st.open_display(board)
     nothing = np.zeros(len(display.profile.electrodes))
@@ -40,7 +40,7 @@ def main(name: str, board: str, intensity: str, force: str | None = None) -> Non
                     sample = sample.astype(np.uint8).reshape(2 * (round(len(sample) ** 0.5),))
                 touch.put(sample)
             except (ValueError, st.SourceError) as error:
-                print(f"left out: {error}")
+                print(f"a sample was ignored: {error}")
             except LostError:
                 break
     print(f"{touch.statistics.delivered} sequences with pulses")

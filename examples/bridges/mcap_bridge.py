@@ -1,8 +1,8 @@
-"""Show the images of a ROS 2 topic in an MCAP file, at the times of their messages.
+"""Bridge from MCAP files: shows the images of a ROS 2 topic at their recorded times.
 
     python mcap_bridge.py FILE TOPIC BOARD INTENSITY [FORCE]
 
-Reads sensor_msgs/msg/CompressedImage, and sensor_msgs/msg/Image as mono8, rgb8 or bgr8.
+Messages are sensor_msgs/msg/CompressedImage, or sensor_msgs/msg/Image in mono8, rgb8 or bgr8.
 """
 
 import io
@@ -22,7 +22,7 @@ LONGEST_GAP_S = 10.0
 
 
 def image_of(message: Any) -> np.ndarray:
-    """Return gray levels (H, W), RGB (H, W, 3) or RGBA (H, W, 4) of a message."""
+    """Return the image of a message: gray (H, W, 1), RGB (H, W, 3) or RGBA (H, W, 4), uint8."""
     if hasattr(message, "format"):
         return np.array(Image.open(io.BytesIO(message.data)).convert("RGBA"))
     channels = {"mono8": 1, "rgb8": 3, "bgr8": 3}[message.encoding]
@@ -32,7 +32,7 @@ def image_of(message: Any) -> np.ndarray:
 
 
 def main(path: str, topic: str, board: str, intensity: str, force: str | None = None) -> None:
-    """Put each image at its time."""
+    """Show each image at its recorded time, relative to the first image."""
     display = st.open_display(board)
     session = display.session(mode="RA", intensity=float(intensity), force=force)
     count, before_s, due_s = 0, None, 0.0
@@ -42,7 +42,7 @@ def main(path: str, topic: str, board: str, intensity: str, force: str | None = 
             logged_s = record.log_time / 1e9
             gap_s = 0.0 if before_s is None else logged_s - before_s
             if not 0 <= gap_s <= LONGEST_GAP_S:
-                print(f"image {count}: the recorded time jumps by {gap_s:g} s, which is left out")
+                print(f"image {count}: shown at once, as the recorded time jumps by {gap_s:g} s")
                 gap_s = 0.0
             before_s, due_s = logged_s, max(due_s + gap_s, time.monotonic())
             time.sleep(max(0.0, due_s - time.monotonic()))

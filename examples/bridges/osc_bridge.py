@@ -1,13 +1,13 @@
-"""Show what Unity, Max, TouchDesigner and others send by Open Sound Control (OSC).
+"""Bridge from Open Sound Control (OSC): shows patterns of Unity, Max, TouchDesigner and others.
 
     python osc_bridge.py BOARD INTENSITY [FORCE]
 
-WARNING: OSC has no password. While this program runs, anybody on this machine can steer the
-current, up to this intensity and the limits of the profile. Messages:
+WARNING: OSC has no password. While this program runs, anybody on this machine can control the
+current, up to INTENSITY and the limits of the profile. Messages:
 
-/smarttouch/electrodes LEVEL ...           all electrodes, 0 to 1
-/smarttouch/image WIDTH HEIGHT GRAY ...    what a sensor sees, row by row, 0 (black) to 255
-/smarttouch/stop                           end the program
+/smarttouch/electrodes LEVEL ...           activation of each electrode, 0 to 1
+/smarttouch/image WIDTH HEIGHT GRAY ...    image, row by row, 0 (black) to 255
+/smarttouch/stop                           end of the program
 """
 
 import socket
@@ -20,8 +20,8 @@ import smarttouch as st
 
 
 def main(board: str, intensity: str, force: str | None = None, port: str = "9000") -> None:
-    """Put each pattern that arrives, until a message asks to stop."""
-    print(f"WARNING: anybody on this machine can steer the current, at 127.0.0.1:{port}")
+    """Show each pattern that arrives, until the message ``/smarttouch/stop``."""
+    print(f"WARNING: anybody on this machine can control the current at 127.0.0.1:{port}")
     display = st.open_display(board)
     session = display.session(mode="RA", intensity=float(intensity), force=force)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line, session as touch:
@@ -38,11 +38,11 @@ def main(board: str, intensity: str, force: str | None = None, port: str = "9000
                     width, height, *gray = message.params
                     touch.put(np.array(gray, np.uint8).reshape(height, width))
                 else:
-                    print(f"left out: {message.address}")
+                    print(f"unknown {message.address}: use /smarttouch/electrodes, image or stop")
             except TimeoutError:
                 touch.put(np.zeros(len(display.profile.electrodes)))
             except (ParseError, ValueError, TypeError, OverflowError, st.SourceError) as error:
-                print(f"left out: {error}")
+                print(f"a message was ignored: {error}")
     print(f"{touch.statistics.delivered} sequences with pulses")
 
 

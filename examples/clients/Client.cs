@@ -1,4 +1,5 @@
-// mcs Client.cs && mono Client.exe ./touch, or as the Program.cs of "dotnet new console"
+// Client of "smarttouch live socket:./touch". Run it by: mcs Client.cs && mono Client.exe ./touch
+// In .NET, use this file as Program.cs of a project made by "dotnet new console".
 using System;
 using System.IO;
 using System.Linq;

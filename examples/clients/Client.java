@@ -1,4 +1,4 @@
-// java Client.java ./touch
+// Client of "smarttouch live socket:./touch". Run it by: java Client.java ./touch
 import java.io.*;
 import java.net.*;
 import java.nio.channels.*;

@@ -1,4 +1,4 @@
-// node client.js ./touch
+// Client of "smarttouch live socket:./touch". Run it by: node client.js ./touch
 const line = require("net").connect(process.argv[2]);
 const answers = require("readline").createInterface({ input: line })[Symbol.asyncIterator]();
 async function ask(request, fields = {}) {

@@ -1,4 +1,4 @@
-"""A board that writes each pulse into a text file: ``journal:run.txt``."""
+"""Board that writes each pulse to a text file: ``journal:run.txt``."""
 
 from pathlib import Path
 from typing import IO
@@ -8,21 +8,21 @@ from smarttouch.plugins import Capabilities, Line, Output, ProvedSequence
 
 
 class JournalDriver(st.Driver):
-    """Writes a line for each slot, and ``zero`` where all electrodes would be shorted.
+    """Driver that writes a line for each slot, and a line ``zero`` when electrodes are set to zero.
 
     Parameters
     ----------
     rest : str
-        The file, rewritten each time the board is opened.
+        Name of the file, which is overwritten each time the board is opened.
     limits : SafetyLimits
-        Of the finger's profile.
+        Limits from the profile of the finger.
     output : Output, optional
-        The board's table in the profile.
+        Table ``output`` of the profile.
     """
 
     def __init__(self, rest: str, limits: st.SafetyLimits, output: Output | None = None) -> None:
         if not rest:
-            raise st.BoardError("journal: needs a file, for example journal:run.txt")
+            raise st.BoardError("journal: has no file: write for example journal:run.txt")
         self._path = Path(rest)
         self._kind = "weighted" if output is None else output.kind
         self._file: IO[str] | None = None
@@ -49,7 +49,7 @@ class JournalDriver(st.Driver):
         ):
             flows = ", ".join(f"{each:+d}" for each in current_ua)
             lines.append(f"  {width_us} us, then {discharge_us} us shorted: {flows} uA")
-        # A stop waits for the end of this block, or is refused before it begins.
+        # `Board.stop` waits for the end of this block. After a stop, `current` raises an error.
         with self._line.current(proved):
             print(*lines, sep="\n", file=self._file, flush=True)
 

@@ -1,4 +1,4 @@
-"""The journal keeps what every board keeps, and says what was sent."""
+"""Contract tests of the journal driver, and tests of its file."""
 
 import re
 from pathlib import Path
@@ -22,7 +22,7 @@ class TestJournal(DriverContract):
         return self.path.read_bytes()
 
     def decode(self, data: bytes) -> list[SentPulse]:
-        """Return the pulses of a journal: those of each scan, as often as it says."""
+        """Return the pulses of a journal, those of a scan once for each pass."""
         found: list[SentPulse] = []
         for part in re.split(r"^(?=zero|scan)", data.decode(), flags=re.MULTILINE)[1:]:
             head, *slots = part.splitlines()

@@ -1,4 +1,4 @@
-"""The bar keeps what every source keeps, and passes."""
+"""Contract tests of the bar source, and tests of its speed."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The circle keeps what every source of stimuli keeps, and goes around."""
+"""Contract tests of the circle source, and a test of its motion."""
 
 import numpy as np
 from smarttouch_circle import CircleSource, open_circle
