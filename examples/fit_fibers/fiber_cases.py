@@ -1,4 +1,4 @@
-"""Fibers under single electrodes and kernels, to fit driving functions to and to judge them on."""
+"""Fibers under single electrodes and under kernels: cases for fitting and testing predictions."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -22,20 +22,20 @@ _KERNELS = 10
 
 @dataclass(frozen=True, eq=False)
 class FiberCases:
-    """Straight fibers, each in the field of its own currents.
+    """Straight fibers, each with the currents of all electrodes above it.
 
     Attributes
     ----------
     profile : Profile
     current_ma : ndarray, (C, E), mA
-        Positive cathodic; the largest of a case is 1.
+        Currents of each case, positive cathodic; the strongest is 1 or -1.
     origin_mm, direction : ndarray, (C, 3)
-        Of the ending, or of the node in the middle; z points into the skin.
+        Place of the ending, or of the middle node of a fiber without an ending; and unit vector
+        along the fiber. z points into the skin.
     group : ndarray of str, (C,)
-        "single", or the class whose kernel it is.
+        "single" if one electrode carries current, or the class of the kernel.
     cathodic : ndarray of bool, (C,)
-        Whether the currents are as designed, with the cathode in the middle of a single
-        electrode; else they are reversed.
+        True for a kernel as designed and for a single cathode; false for reversed currents.
     """
 
     profile: Profile
@@ -46,7 +46,7 @@ class FiberCases:
     cathodic: NDArray[np.bool_]
 
     def potential_mv(self, along_mm: Array) -> Array:
-        """Return the potential at places along each fiber, (C, N) mV for a current of 1 mA."""
+        """Return the potential at distances (N,) along each fiber, (C, N) mV at 1 mA."""
         found = []
         for origin, direction, current in zip(
             self.origin_mm, self.direction, self.current_ma, strict=True
@@ -69,20 +69,20 @@ class FiberCases:
 def cases(
     profile: Profile, bank: KernelBank, ending: bool, held_out: bool, seed: int = 1
 ) -> FiberCases:
-    """Return the cases to fit to, or those to judge on, which share no kernel.
+    """Return cases for fitting or for testing; no kernel is in both sets of cases.
 
     Parameters
     ----------
     profile : Profile
     bank : KernelBank
-        Kernels of RA and SAI: ten sites each to fit to, ten others to judge on.
+        Kernels of RA and SAI. Of each class, ten sites are for fitting and ten for testing.
     ending : bool
-        Fibers that rise to an ending, up to 30° from the vertical; else flat ones that run
-        through, in any direction.
+        If true, fibers are upright, up to 30° from the vertical, with an ending at the top. If
+        false, they are horizontal, in any direction, without an ending.
     held_out : bool
-        To judge on.
+        Whether to return the cases for testing.
     seed : int
-        Of sites, offsets and directions.
+        Seed of sites, offsets and directions.
     """
     random = np.random.default_rng([seed, ending, held_out])
     count, places = len(profile.electrodes), profile.electrodes.position_mm
@@ -125,7 +125,7 @@ End = Literal["through", "active", "passive"]
 
 
 def along_mm(end: End, internode_mm: float, reach_mm: float = 8.0) -> Array:
-    """Return the places of a fiber's nodes along it, from its ending or to both sides, (N,)."""
+    """Return the distance of each node from the ending or from the middle node, (N,) mm."""
     nodes = int(np.ceil(reach_mm / internode_mm))
     first = -nodes if end == "through" else 0
     return np.arange(first, nodes + 1, dtype=np.float64) * internode_mm

@@ -1,7 +1,7 @@
-"""Driving functions fitted to the thresholds of a cable model.
+"""Fit of driving functions to thresholds of a cable model.
 
-The fit starts from what the membrane would do if it were linear, which is within a tenth or
-so, and minimizes the errors of the thresholds' logarithms.
+The fit starts from the weights of a linear membrane, whose thresholds are within about 10 % of the
+cable model's. It minimizes the errors of the logarithms of thresholds.
 """
 
 import contextlib
@@ -24,26 +24,26 @@ from smarttouch.physiology.membrane import (
 
 Array = NDArray[np.float64]
 
-_OWN_NODES = 4
-_BLOCKS = (np.inf, 4.0, 2.8, 2.0, 1.4)
-_WELL = 0.03
-"""Error up to which no block is looked for."""
+_OWN_NODES = 4  # number of nodes near an ending that have weights of their own
+_BLOCKS = (np.inf, 4.0, 2.8, 2.0, 1.4)  # values of `DrivingFunction.block` to try, in this order
+_GOOD_ERROR = 0.03
+"""Error below which no further values of `_BLOCKS` are tried."""
 _WORTHWHILE = 0.8
-"""Part of the error to which a block has to bring it down."""
+"""Factor by which a value of `_BLOCKS` must reduce the error to replace the best value so far."""
 _TOLERANCE = 0.05
-"""Error up to which squares count; beyond it they grow more slowly (soft L1)."""
-_TIED = 0.1
-"""Error that counts as much as a weight that is off its start by all of itself: what cases do not
-decide stays as the membrane would have it if it were linear."""
-_LEAST = 0.1
-"""Drive at threshold below which the logarithm goes on as a straight line."""
-_NODES = 60
+"""Error up to which the soft L1 loss is nearly quadratic; for larger errors it is nearly linear."""
+_STIFFNESS = 0.1
+"""Threshold error that costs as much as a change of one weight by 100 % from its start. Weights
+that the cases do not determine therefore stay near those of a linear membrane."""
+_LINEAR_BELOW = 0.1
+"""Predicted drive at threshold (correct: 1) below which a line continues the logarithm."""
+_NODES = 60  # number of nodes of the linear cable
 
 
 def thresholds_ma(
     potential_mv: Array, fiber: Fiber, width_us: float, step_us: float = 4.0
 ) -> Array:
-    """Return the cathodic thresholds (C,), mA, in fields (C, N); NaN where nothing fires."""
+    """Return cathodic thresholds, (C,) mA, for potentials (C, N), mV per mA; NaN if none exists."""
     found = np.full(len(potential_mv), np.nan)
     for index, each in enumerate(potential_mv):
         with contextlib.suppress(DesignError):
@@ -54,20 +54,20 @@ def thresholds_ma(
 def fit(
     fiber: Fiber, width_us: float, potential_mv: Array, threshold_ma: Array, reach: int = 8
 ) -> DrivingFunction:
-    """Return the driving function that best gives thresholds.
+    """Return the driving function that predicts thresholds with the smallest error.
 
     Parameters
     ----------
     fiber : Fiber
-        Fiber of our own cable model, or the one most like it: the fit starts from it.
+        Fiber of our cable model whose linear weights the fit starts from.
     width_us : float, µs
         Pulse width.
     potential_mv : ndarray, (C, N), mV per mA
-        Potential at the nodes in C cases, ending first.
+        Potentials at the nodes in C cases, ending first.
     threshold_ma : ndarray, (C,), mA
-        Their thresholds; those that are not finite do not count.
+        Threshold of each case; cases without a finite threshold are ignored.
     reach : int
-        Neighbors of a node, to either side, that count.
+        Number of neighbors on each side of a node that influence its drive.
     """
     counts = np.isfinite(threshold_ma)
     potential_mv, threshold_ma = potential_mv[counts], threshold_ma[counts]
@@ -84,14 +84,14 @@ def fit(
         error = threshold_error(driving.highest(potential_mv), threshold_ma).tenth
         if best is None or error < _WORTHWHILE * least:
             best, least = driving, error
-        if least < _WELL:
+        if least < _GOOD_ERROR:
             break
     assert best is not None
     return best
 
 
 def _weights(features: Array, threshold_ma: Array, start: Array, block: float) -> Array:
-    """Return the weights that best give thresholds, near those to start from."""
+    """Return the weights with the smallest errors, with a penalty on changes from ``start``."""
     every = np.arange(len(features))
     scale = np.abs(start) + 0.01 * np.abs(start).max()
 
@@ -102,14 +102,15 @@ def _weights(features: Array, threshold_ma: Array, start: Array, block: float) -
 
     def errors(weights: Array) -> Array:
         reached = threshold_ma * fires(weights)[1]
-        straight = reached / _LEAST - 1 + np.log(_LEAST)
-        missed = np.where(reached > _LEAST, np.log(np.maximum(reached, _LEAST)), straight)
-        return np.concatenate([missed, _TIED * (weights - start) / scale])
+        line = reached / _LINEAR_BELOW - 1 + np.log(_LINEAR_BELOW)
+        logarithm = np.log(np.maximum(reached, _LINEAR_BELOW))
+        missed = np.where(reached > _LINEAR_BELOW, logarithm, line)
+        return np.concatenate([missed, _STIFFNESS * (weights - start) / scale])
 
     def slopes(weights: Array) -> Array:
         node, highest = fires(weights)
-        steep = 1 / np.maximum(highest, _LEAST / threshold_ma)
-        return np.vstack([features[every, node] * steep[:, None], np.diag(_TIED / scale)])
+        steep = 1 / np.maximum(highest, _LINEAR_BELOW / threshold_ma)
+        return np.vstack([features[every, node] * steep[:, None], np.diag(_STIFFNESS / scale)])
 
     return np.asarray(
         least_squares(
@@ -125,7 +126,7 @@ def _weights(features: Array, threshold_ma: Array, start: Array, block: float) -
 
 
 def _features(fiber: Fiber, potential_mv: Array, reach: int) -> Array:
-    """Return what the weights of each node multiply, (C, M, weights)."""
+    """Return the second differences that weights multiply in each node's drive, (C, M, W)."""
     bends = potential_mv @ bend_operator(fiber.end, potential_mv.shape[1]).T
     count, size = bends.shape
     padded = np.pad(bends, ((0, 0), (reach, reach)))
@@ -147,7 +148,7 @@ def _features(fiber: Fiber, potential_mv: Array, reach: int) -> Array:
 
 
 def _linear_start(fiber: Fiber, width_us: float, reach: int) -> Array:
-    """Return the weights of a fiber whose membrane only leaks."""
+    """Return the weights of a fiber with a linear membrane, which has only leak conductance."""
     axial, leak = Axon.passive_parts(fiber, _NODES)
     rates = axial[:, :_NODES] - np.diag(leak)
     answer = np.linalg.solve(rates, (expm(rates * width_us) - np.eye(_NODES)) @ axial[:, _NODES:])
@@ -161,14 +162,14 @@ def _linear_start(fiber: Fiber, width_us: float, reach: int) -> Array:
 
 @dataclass(frozen=True)
 class ThresholdError:
-    """Errors of predicted thresholds, as factors above 1: 0.05 is five per cent either way.
+    """Relative errors of predicted thresholds: 0.05 means a factor of 1.05 too high or too low.
 
     Attributes
     ----------
     cases : int
-        Number of cases that fire.
+        Number of cases with a finite threshold.
     median, tenth, worst : float
-        Half of the errors are below the first, nine tenths below the second.
+        Median, 90 % quantile and maximum of the errors.
     """
 
     cases: int
@@ -183,9 +184,9 @@ def threshold_error(drive: Array, threshold_ma: Array) -> ThresholdError:
     Parameters
     ----------
     drive : ndarray, (C,)
-        Largest drive along each fiber for 1 mA.
+        Largest drive along each fiber at 1 mA.
     threshold_ma : ndarray, (C,), mA
-        True thresholds; those that are not finite do not count.
+        Thresholds of the cable model; cases without a finite threshold are ignored.
     """
     counts = np.isfinite(threshold_ma)
     predicted = np.maximum(drive[counts] * threshold_ma[counts], 1e-3)
@@ -199,7 +200,7 @@ def threshold_error(drive: Array, threshold_ma: Array) -> ThresholdError:
 
 
 def activating(fiber: Fiber, potential_mv: Array, threshold_ma: Array) -> DrivingFunction:
-    """Return the activating function alone, with the threshold that suits these cases best."""
+    """Return the activating function, scaled so that the median error of thresholds is zero."""
     bends = potential_mv @ bend_operator(fiber.end, potential_mv.shape[1]).T
     highest = np.maximum(bends[:, int(fiber.end == "passive") :].max(axis=1), 1e-9)
     weight = 1 / np.exp(np.nanmedian(np.log(highest * threshold_ma)))

@@ -1,11 +1,11 @@
-"""Fit what fires a fiber, and compare it with its cable model on kernels not fitted to.
+"""Fit driving functions to a cable model of a fiber, and test their thresholds on other kernels.
 
     python examples/fit_fibers/fit_fibers.py fingertip
 
-prints the errors of predicted thresholds; ``--json FILE`` writes the weights as the package ships
-them. ``fingertip`` and ``trunk`` take a minute or two. ``mrg`` takes an hour or two, goes on where
-it was interrupted, and needs NEURON and PyFibers: ``pip install "neuron>=9" "pyfibers>=0.13"``,
-then ``pyfibers_compile`` once.
+This command prints the errors of predicted thresholds. ``--json FILE`` writes the weights in the
+format of the package. ``fingertip`` and ``trunk`` take one or two minutes. ``mrg`` takes one or two
+hours, resumes an interrupted run, and needs NEURON and PyFibers: run
+``pip install "neuron>=9" "pyfibers>=0.13"``, then ``pyfibers_compile`` once.
 """
 
 import argparse
@@ -40,10 +40,10 @@ Progress = Callable[[int, int], None]
 
 WIDTHS_US = (50.0, 100.0, 200.0, 500.0)
 _MOST_MA = 50.0
-"""Threshold beyond which a fiber does not fire: ten times what any board may deliver."""
+"""Threshold above which a fiber counts as never firing: ten times the largest legal current."""
 _FEWER = 3
-"""Every third case of the MRG model, which takes seconds each."""
-_AT_ONCE = 10
+"""The MRG model computes only every third case, because each takes seconds."""
+_AT_ONCE = 10  # number of MRG cases whose thresholds are stored in one file
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +56,11 @@ class FiberFit:
     width_us : float, µs
     driving : DrivingFunction
     fitted : ThresholdError
-        On the cases that it was fitted to.
+        Errors on the cases that were used in the fit.
     held_out : dict of str to ThresholdError
-        On other cases: "all", and by group and polarity.
+        Errors on the cases for testing: of "all", and of each group and polarity.
     activating : ThresholdError
-        Of the activating function on the same other cases.
+        Errors of the activating function on the cases for testing.
     """
 
     fiber: str
@@ -72,7 +72,7 @@ class FiberFit:
 
 
 def ends_of(fiber: str) -> tuple[End, ...]:
-    """Return the endings that a fiber is offered with; bare terminals only at the fingertip."""
+    """Return the kinds of ending that are fitted for a fiber; "passive" only at the fingertip."""
     return ("through", "active", "passive") if fiber == "fingertip" else ("through", "active")
 
 
@@ -84,7 +84,7 @@ def fit_fiber(
     progress: Progress = lambda _done, _all: None,
     keep: Path | None = None,
 ) -> list[FiberFit]:
-    """Fit a fiber with each of its endings, and judge it on kernels of other sites.
+    """Fit a fiber for each ending and pulse width, and test the fits on kernels of other sites.
 
     Parameters
     ----------
@@ -92,12 +92,12 @@ def fit_fiber(
     bank : KernelBank
         Kernels of RA and SAI.
     fiber : str
-        One of `driving.FIBERS`; "mrg" needs PyFibers.
+        Name in `membrane.FIBERS`; "mrg" needs PyFibers.
     widths_us : sequence of float, µs
     progress : callable
-        Is given the number of finished fits and of all.
+        Called with the number of finished fits and the number of all fits.
     keep : Path, optional
-        Folder for thresholds of the MRG model, so that a run which is stopped can go on.
+        Folder that stores thresholds of the MRG model, so that an interrupted run can be resumed.
     """
     found = []
     ends = ends_of(fiber)
@@ -155,7 +155,7 @@ def _thresholds(
     potential_mv: Array,
     keep: Path | None,
 ) -> Array:
-    """Return the thresholds of the cable model, (C,) mA; NaN where it does not fire."""
+    """Return the thresholds of the cable model, (C,) mA; NaN above `_MOST_MA`."""
     if name != "mrg":
         found = thresholds_ma(potential_mv, fiber, width_us, step_us=width_us / 50)
     else:
@@ -166,9 +166,9 @@ def _thresholds(
 def _mrg_thresholds(
     fiber: Fiber, width_us: float, each: FiberCases, potential_mv: Array, keep: Path | None
 ) -> Array:
-    """Return the thresholds of the MRG model; what is kept of an earlier run is not run again."""
+    """Return thresholds of the MRG model, and store them; load those that are in ``keep``."""
     model = mrg.MrgFiber("active" if fiber.end == "active" else "through")
-    # What ships is within some per cent, and an estimate changes nothing but the time.
+    # The shipped driving function gives close estimates, which only make the search faster.
     near_ma = 1 / np.maximum(load_driving("mrg", fiber.end, width_us).highest(potential_mv), 1e-3)
     fields = each.potential_mv(model.along_mm)
     found = []
@@ -189,7 +189,7 @@ def _mrg_thresholds(
 
 
 def as_json(fits: Sequence[FiberFit]) -> dict[str, Any]:
-    """Return the weights by fiber, ending and pulse width, as they ship."""
+    """Return the weights by fiber, ending and pulse width, in the format of the package."""
     table: dict[str, Any] = {}
     for each in fits:
         by_end = table.setdefault(each.fiber, {}).setdefault(each.driving.end, {})
@@ -230,8 +230,8 @@ def main() -> None:
     """Fit a fiber, print the errors, and write the weights."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("fiber", choices=tuple(FIBERS), nargs="?", default="fingertip")
-    parser.add_argument("--profile", default="electric-mouse", help="a name or a file")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the weights")
+    parser.add_argument("--profile", default="electric-mouse", help="name or file of a profile")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the weights to a file")
     asked = parser.parse_args()
     require_folder(asked.json)
     profile = load_profile(asked.profile)
@@ -239,9 +239,9 @@ def main() -> None:
     with progress("Fitting") as advance:
         fits = fit_fiber(profile, load_bank(profile), asked.fiber, progress=advance, keep=keep)
     heading, *rows = error_rows(fits)
-    print("Errors of predicted thresholds in %, on kernels not fitted to")
+    print("Errors of predicted thresholds in %, on kernels that were not used in the fit")
     print_table(rows, heading, left=2)
-    print("AF: the activating function with the threshold that suits the fitted cases.")
+    print("AF: errors of the activating function, scaled to the cases of the fit.")
     if asked.json is not None:
         write_json(asked.json, as_json(fits))
 

@@ -1,8 +1,8 @@
-"""Thresholds of the MRG fiber model, by NEURON through PyFibers.
+"""Thresholds of the MRG fiber model, computed by PyFibers with NEURON.
 
-The double-cable model of McIntyre, Richardson and Grill (J. Neurophysiol. 87, 2002), with
-sodium and potassium channels, paranodes and myelin, as PyFibers interpolates it to a diameter.
-Install them with ``pip install "neuron>=9" "pyfibers>=0.13"`` and run ``pyfibers_compile`` once.
+MRG is the double-cable model of McIntyre, Richardson and Grill (J. Neurophysiol. 87, 2002), with
+sodium and potassium channels, paranodes and myelin. PyFibers interpolates it to any diameter. Run
+``pip install "neuron>=9" "pyfibers>=0.13"``, then ``pyfibers_compile`` once.
 """
 
 import logging
@@ -15,22 +15,22 @@ from smarttouch.base.errors import DesignError
 
 Array = NDArray[np.float64]
 
-_STEP_MS, _STOP_MS = 0.01, 1.5
-_RUNG, _PRECISION = 1.15, 0.01
-_START, _MOST = 0.6, 50.0
+_STEP_MS, _STOP_MS = 0.01, 1.5  # time step, and simulated time after the pulse
+_RUNG, _PRECISION = 1.15, 0.01  # factor between tried currents, and relative error of the result
+_START, _MOST = 0.6, 50.0  # first and largest tried current, relative to the estimate
 
 
 class MrgFiber:
-    """MRG fiber that any potentials can be laid on.
+    """MRG fiber that computes thresholds for given potentials along it.
 
     Parameters
     ----------
     end : {"through", "active"}
-        Whether its first node is an ending, sealed, or it runs on to both sides.
+        "active" if the first node is a sealed ending; "through" if the fiber has no ending.
     diameter_um : float, µm
     nodes : int, optional
-        Odd; by default as many as reach 15 mm to each side of it, or down from its ending: farther
-        than fields of an array, so that no cut is felt.
+        Odd number of nodes. By default the fiber extends 15 mm to each side, or 15 mm from its
+        ending. There the field of an array is too weak for effects of the cut.
 
     Raises
     ------
@@ -61,12 +61,11 @@ class MrgFiber:
         along = np.asarray(self._fiber.longitudinal_coordinates) / 1000
         self.internode_mm = float(self._fiber.delta_z) / 1000
         self.along_mm: Array = along - (along.mean() if end == "through" else along[0])
-        """Places of its sections along it, from the ending or from the middle, (S,) mm."""
+        """Distance of each section from the ending or from the middle, (S,) mm."""
 
     def thresholds_ma(self, potential_mv_per_ma: Array, width_us: float, near_ma: Array) -> Array:
-        """Return the thresholds in fields, (C, S) mV per mA at `along_mm`: (C,) mA.
-
-        `near_ma` are estimates, (C,). NaN where nothing fires.
+        """Return thresholds, (C,) mA, for potentials, (C, S) mV per mA, at `along_mm`; NaN if there
+        is no threshold. The search for each threshold starts near the estimate in `near_ma`, (C,).
         """
         from pyfibers import ScaledStim
 
