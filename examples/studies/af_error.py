@@ -1,9 +1,8 @@
-"""Error of the activating function: its thresholds beside those of a fiber model.
+"""Error of thresholds that are predicted by the activating function (AF).
 
-If the AF were all that counts, every fiber would fire at the same AF, and one
-threshold would give all others. Here the flat fiber under a cathode at
-`REFERENCE_MM` gives it, and each other place, fiber and polarity is predicted
-from its largest AF and compared with the active cable model of `membrane`.
+If the AF were enough, all fibers would fire at the same AF. Here a flat fiber `REFERENCE_MM` below
+a cathode determines this AF. It predicts the thresholds of all fibers, depths and polarities, which
+are compared with the active cable model of `membrane`.
 """
 
 from collections.abc import Sequence
@@ -24,37 +23,37 @@ _NODES = 161
 
 _FIBERS = {
     "flat fiber": Fiber(end="through"),
-    "rising, passive ending": Fiber(end="passive"),
-    "rising, active ending": Fiber(end="active"),
+    "upright, passive ending": Fiber(end="passive"),
+    "upright, active ending": Fiber(end="active"),
 }
 
 
 @dataclass(frozen=True)
 class AfError:
-    """Thresholds of one fiber at one depth: of the cable model, and as the AF predicts."""
+    """Threshold of a fiber at one depth, by the cable model and as predicted by the AF."""
 
     fiber: str  # orientation and ending
     polarity: str
-    depth_mm: float  # of the fiber, or of the ending of a rising one
-    cable_ma: float  # NaN if it never fires
-    af_ma: float  # infinite where the AF is nowhere positive
+    depth_mm: float  # depth of a flat fiber, or of the ending of an upright fiber
+    cable_ma: float  # threshold of the cable model; NaN if the fiber never fires
+    af_ma: float  # predicted threshold; infinite if the AF is positive nowhere
 
     @property
     def ratio(self) -> float:
-        """Predicted over true threshold: above 1 the AF underestimates, below it overestimates."""
+        """Predicted threshold relative to that of the cable model."""
         return self.af_ma / self.cable_ma
 
 
 def af_error_table(profile: Profile) -> list[AfError]:
-    """Return thresholds of fibers flat and rising, with either ending and polarity, at all of
-    `DEPTHS_MM` under one electrode whose current returns far away."""
+    """Return thresholds for each kind of fiber, polarity and depth of `DEPTHS_MM`, under one
+    electrode whose current returns far away."""
     found: list[tuple[str, str, float, float, float]] = []
     for name, fiber in _FIBERS.items():
         for depth_mm in DEPTHS_MM:
             potential = potential_at_nodes(profile, fiber, depth_mm)
             bend = np.diff(potential, 2)
             if fiber.end == "active":
-                # McNeal's end node: current from its only neighbor, and none beyond it.
+                # McNeal's end node has one neighbor, so a first difference drives it.
                 bend = np.append(bend, potential[1] - potential[0])
             for polarity, sign in (("cathodic", 1.0), ("anodic", -1.0)):
                 strongest = max(float((sign * bend).max()), 0.0)
@@ -75,7 +74,7 @@ def af_error_table(profile: Profile) -> list[AfError]:
 
 
 def potential_at_nodes(profile: Profile, fiber: Fiber, depth_mm: float) -> NDArray[np.float64]:
-    """Return the potential at a fiber's nodes under the first electrode, mV per mA, (N,)."""
+    """Return the potentials at the nodes of a fiber under the first electrode, (N,) mV per mA."""
     center = profile.electrodes.position_mm[0]
     spaced = np.arange(_NODES) * fiber.internode_mm
     if fiber.end == "through":
@@ -95,7 +94,7 @@ def potential_at_nodes(profile: Profile, fiber: Fiber, depth_mm: float) -> NDArr
 
 
 def ratio_rows(table: Sequence[AfError]) -> list[list[str]]:
-    """Return a heading, and a row of ratios by depth for each fiber and polarity, in words."""
+    """Return a heading and, for each fiber and polarity, a row with the ratio at each depth."""
     depths = dict.fromkeys(row.depth_mm for row in table)
     lines: dict[tuple[str, str], list[str]] = {}
     for row in table:

@@ -1,9 +1,9 @@
-"""Qualitative effects of the paper, as simulated fingers show them (Section III-B).
+"""Effects that the paper describes (Sections III-B and III-C), on simulated fingers.
 
-``python examples/studies/finger_effects.py paper 10`` prints them for 10 fingers of an anatomy.
-Two assumptions make two of them: PC's threshold factor of 2 was chosen by the order of sensations
-(III-B.1), with 1 PC comes first; and how far PC is felt aside follows from the assumed length of
-its axons. Every figure is a median over fingers, with their middle 90 %.
+``python examples/studies/finger_effects.py paper 10`` prints the effects for 10 fingers of an
+anatomy, as medians with the middle 90 %. Two effects depend on our assumptions. We doubled the
+threshold of PC to get the paper's order of sensations (III-B.1); otherwise PC would fire first. The
+shift of PC depends on the assumed length of its axons.
 """
 
 import sys
@@ -23,20 +23,20 @@ from smarttouch.views.terminal_output import print_table
 
 Array = NDArray[np.float64]
 Row = tuple[str, str, str]
-"""Effect, the paper's figure, the fingers'."""
+"""Effect, value in the paper, and value of simulated fingers."""
 
 STAGES_MA = (0.2, 0.4, 0.6, 1.0)
 """Currents of the central line electrode at which sensations changed (Section III-B.1)."""
 CLEAR_MA = 2.4
 """Current that was clearly felt on a disc of 1.0 mm (Section III-C)."""
-EASED = 20.0
-"""Factor by which thresholds on lines are lowered before fingers leave out what no legal current
-fires, and currents with them."""
+LOWERED = 20.0
+"""Factor by which some functions lower thresholds and then raise results, because `Finger` omits
+nodes that no legal current fires."""
 
 
 @dataclass(frozen=True)
 class Shift:
-    """Distance of what is felt from the electrode, mm."""
+    """Displacement of the receptors of firing afferents from the electrode, mm."""
 
     # x_mm, y_mm: means over the afferents that fire; y is negative toward the fingertip
     x_mm: float
@@ -46,20 +46,21 @@ class Shift:
 
 
 def fired(finger: Finger, current_ma: Array) -> NDArray[np.bool_]:
-    """Return which afferents each of (S, E) currents fires, (A, S), without noise."""
+    """Return whether each afferent fires in each slot, (A, S), for currents (S, E) mA, without
+    noise."""
     width_us = np.full(len(current_ma), finger.profile.pulse.width_us)
     return np.asarray(SpikeModel(finger).drive(1000 * current_ma, width_us) >= 1)
 
 
 def kernel_ma(profile: Profile, bank: KernelBank, afferent: Afferent) -> Array:
-    """Return each site's kernel for 1 mA at the site, (E, E), mA, positive cathodic."""
+    """Return the kernel of each site, scaled to 1 mA at the site, (E, E) mA, positive cathodic."""
     kernels = np.asarray(bank.kernels(afferent), np.float64)
     own = np.abs(np.diag(kernels))
     return np.divide(kernels, own[:, None], out=np.zeros_like(kernels), where=own[:, None] > 0)
 
 
 def against_all(profile: Profile, cathodic: bool) -> Array:
-    """Return 1 mA through each electrode against all others, (E, E), mA."""
+    """Return, for each electrode, 1 mA that returns through all other electrodes, (E, E) mA."""
     count = len(profile.electrodes)
     pattern = np.full((count, count), -1 / (count - 1))
     np.fill_diagonal(pattern, 1.0)
@@ -67,20 +68,20 @@ def against_all(profile: Profile, cathodic: bool) -> Array:
 
 
 def stages(anatomy: str | Anatomy, seeds: Sequence[int]) -> dict[Afferent, Array]:
-    """Return the current at which the n-th afferent of a class fires in SAI mode, (10,) mA.
+    """Return the SAI-mode currents at which 1 to 10 afferents of a class fire, (10,) mA, by class.
 
-    Medians over fingers, for n from 1 to 10; infinite where there are fewer. On the paper's eight
-    lines, with axons that run across them, as in Fig. 7.
+    Values are medians over fingers; infinite if a class has fewer afferents. The array is the
+    paper's eight lines, and axons run across the lines, as in Fig. 7.
     """
     profile = load_profile("line-8")
-    is_like = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
+    base = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
     across = {
-        each.name.lower(): is_like.of(each).model_copy(
-            update={"flat_deg": 0.0, "threshold_factor": is_like.of(each).threshold_factor / EASED}
+        each.name.lower(): base.of(each).model_copy(
+            update={"flat_deg": 0.0, "threshold_factor": base.of(each).threshold_factor / LOWERED}
         )
         for each in Afferent
     }
-    across_lines = is_like.model_copy(update=across)
+    across_lines = base.model_copy(update=across)
     pattern = kernel_ma(profile, load_bank(profile), Afferent.SAI)[3]
     width_us = np.array([profile.pulse.width_us])
     found: dict[Afferent, list[Array]] = {each: [] for each in Afferent}
@@ -90,7 +91,7 @@ def stages(anatomy: str | Anatomy, seeds: Sequence[int]) -> dict[Afferent, Array
         for each in Afferent:
             highest = np.sort(drive[finger.classes == each])[::-1][:10]
             with np.errstate(divide="ignore"):
-                current_ma = EASED / np.maximum(highest, 0)
+                current_ma = LOWERED / np.maximum(highest, 0)
             found[each].append(np.pad(current_ma, (0, 10 - len(highest)), constant_values=np.inf))
     return {each: np.median(rows, axis=0) for each, rows in found.items()}
 
@@ -98,8 +99,8 @@ def stages(anatomy: str | Anatomy, seeds: Sequence[int]) -> dict[Afferent, Array
 def shift(
     fingers: Sequence[Finger], current_ma: Array, sites: Sequence[int], classes: Sequence[Afferent]
 ) -> Shift:
-    """Return where the afferents of some classes lie whose axons each site's currents, (E, E) mA,
-    fire."""
+    """Return the displacement of receptors from the site whose currents fire them, for the given
+    classes. ``current_ma``, (E, E), has a row of currents for each site."""
     away, tried = [np.zeros((0, 2))], 0
     for finger in fingers:
         answers = fired(finger, current_ma[list(sites)])
@@ -117,7 +118,7 @@ def shift(
 
 
 def inner_sites(profile: Profile) -> list[int]:
-    """Return the electrodes within the middle half of an array."""
+    """Return the electrodes in the middle half of an array's width and height."""
     reach = np.abs(profile.electrodes.position_mm).max(axis=0) / 2 + 1e-9
     within = (np.abs(profile.electrodes.position_mm) <= reach).all(axis=1)
     return [int(each) for each in np.flatnonzero(within)]
@@ -126,7 +127,7 @@ def inner_sites(profile: Profile) -> list[int]:
 def reached(
     profile: Profile, center_ma: float, anatomy: str | Anatomy, seeds: Sequence[int]
 ) -> Array:
-    """Return the mean number of RA, SAI and PC that the middle of a concentric electrode fires."""
+    """Return the mean numbers of RA, SAI and PC that a concentric electrode fires, (3,)."""
     pattern = np.array([[center_ma, -center_ma]])
     rows = []
     for seed in seeds:
@@ -136,29 +137,29 @@ def reached(
 
 
 def effects(
-    anatomy: str | Anatomy,  # of the fingers
-    seeds: Sequence[int],  # of the fingers
+    anatomy: str | Anatomy,
+    seeds: Sequence[int],  # seeds of the fingers
 ) -> list[Row]:
-    """Return the paper's effects and the fingers' figures, as rows of a table."""
-    is_like = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
+    """Return a table of the paper's effects, with the values of simulated fingers."""
+    base = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
     mouse = load_profile("electric-mouse")
     bank, sites = load_bank(mouse), inner_sites(mouse)
     parts = (_stage_rows, _blur_rows, _shift_rows, _selective_rows, _concentric_rows)
     rows: list[Row] = []
-    fingers = [Finger(mouse, seed, is_like) for seed in seeds]
+    fingers = [Finger(mouse, seed, base) for seed in seeds]
     for part in parts:
-        rows += part(is_like, fingers, bank, sites)
+        rows += part(base, fingers, bank, sites)
     return rows
 
 
 def spread(values: Iterable[float], digits: int = 1) -> str:
-    """Return a median over fingers with their middle 90 %, in words."""
+    """Return the median over fingers with the middle 90 %, as text."""
     middle, low, high = (f"{each:.{digits}f}" for each in middle_90(values))
     return f"{middle} ({low}–{high})"
 
 
 def _counts(rows: Sequence[Array]) -> str:
-    """Return how many RA, SAI and PC fire in each finger, (3,), in words."""
+    """Return as text how many RA, SAI and PC fire; each row has the counts, (3,), of a finger."""
     columns = zip(Afferent, np.transpose(rows), strict=True)
     return ", ".join(f"{each.name} {spread(column)}" for each, column in columns)
 
@@ -173,11 +174,11 @@ def _stage_rows(
     shown = ", ".join(f"{each.name} {spread(first_ma[each] / least_ma)}" for each in order[1:])
     return [
         (
-            "SAI mode on lines: classes in the order in which they join, currents over the first",
+            "SAI mode on lines: current at which a class first fires, over the lowest of them",
             "pressure 1, vibration 1.5, masked 2.5",
             f"{order[0].name} 1, {shown}",
         ),
-        ("SAI mode on lines: the first of them, mA", f"{STAGES_MA[0]:g}", spread(least_ma)),
+        ("SAI mode on lines: lowest of these currents, mA", f"{STAGES_MA[0]:g}", spread(least_ma)),
     ]
 
 
@@ -191,7 +192,7 @@ def _blur_rows(
         away[name] = f"{name} {spread(each.away_mm for each in found)}"
     return [
         (
-            f"one electrode, {CLEAR_MA:g} mA: receptors' distance from it, RMS, mm",
+            f"one electrode, {CLEAR_MA:g} mA: RMS distance of firing receptors from it, mm",
             "anodic acute, cathodic blurred",
             ", ".join(away.values()),
         )
@@ -209,7 +210,7 @@ def _shift_rows(
         alone = {
             "ra": anatomy.ra.model_copy(update=none),
             "sai": anatomy.sai.model_copy(update=none),
-            # Ten times as many as there are, for a mean that holds.
+            # Use ten times the density of the tip, for a precise mean.
             "pc": anatomy.pc.model_copy(update={"flat_mm": flat_mm, "density_per_cm2": 210.0}),
         }
         mine = anatomy.model_copy(update=alone)
@@ -219,7 +220,7 @@ def _shift_rows(
         ]
         rows.append(
             (
-                f"PC mode: shift of PC toward the fingertip, axons {flat_mm:g} mm flat, mm",
+                f"PC mode: shift toward the fingertip, with axons of {flat_mm:g} mm, mm",
                 "1 to 3",
                 spread(-each.y_mm for each in found),
             )
@@ -231,10 +232,10 @@ def _selective_rows(
     anatomy: Anatomy, fingers: Sequence[Finger], bank: KernelBank, sites: Sequence[int]
 ) -> list[Row]:
     rows = []
-    for mode, said in (
-        (Afferent.RA, "RA alone"),
-        (Afferent.SAI, "SAI, alone in a narrow range"),
-        (Afferent.PC, "PC, with RA above it"),
+    for mode, paper in (
+        (Afferent.RA, "only RA"),
+        (Afferent.SAI, "only SAI, in a narrow range of currents"),
+        (Afferent.PC, "PC and the RA above"),
     ):
         current_ma = CLEAR_MA * kernel_ma(fingers[0].profile, bank, mode)[list(sites)]
         counts = [
@@ -242,7 +243,7 @@ def _selective_rows(
             for one in fingers
         ]
         label = f"{mode.name} mode, {CLEAR_MA:g} mA at a point: afferents that fire"
-        rows.append((label, said, _counts(counts)))
+        rows.append((label, paper, _counts(counts)))
     return rows
 
 
@@ -250,13 +251,13 @@ def _concentric_rows(
     anatomy: Anatomy, fingers: Sequence[Finger], bank: KernelBank, sites: Sequence[int]
 ) -> list[Row]:
     rows, profile = [], load_profile("concentric")
-    for name, current_ma, said in (
+    for name, current_ma, paper in (
         ("anodic", -CLEAR_MA, "RA, no PC"),
         ("cathodic", CLEAR_MA, "–"),
     ):
         counts = [reached(profile, current_ma, anatomy, [one.seed]) for one in fingers]
-        label = f"disc 1 mm in a ring from 6 mm, {CLEAR_MA:g} mA {name}: afferents that fire"
-        rows.append((label, said, _counts(counts)))
+        label = f"disc of 1 mm in a ring of 6 to 8 mm, {CLEAR_MA:g} mA {name}: afferents that fire"
+        rows.append((label, paper, _counts(counts)))
     return rows
 
 

@@ -1,8 +1,8 @@
-"""Published measurements with people and nerves beside what simulated fingers give.
+"""Comparison of published measurements of people and nerves with simulated fingers.
 
-``python examples/studies/published.py 20`` prints published and simulated values, 20
-fingers of each anatomy. A source was read at least in its abstract; a dash is a number that we
-could not read in it. Nothing is tuned to these, but for the two rows that say so.
+``python examples/studies/published.py 20`` prints published values and those of 20 fingers of each
+anatomy. We read at least the abstract of each source; a dash marks a number that we did not find.
+Except where the last column says so, the model was not fitted to these measurements.
 """
 
 import sys
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 sys.path.append(str(Path(__file__).parents[1]))
-from studies.finger_effects import CLEAR_MA, EASED, against_all, inner_sites, kernel_ma
+from studies.finger_effects import CLEAR_MA, LOWERED, against_all, inner_sites, kernel_ma
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.kernels.bank import load_bank
@@ -42,25 +42,24 @@ WIDTHS_US = (50.0, 100.0, 200.0, 500.0)
 SIZES_MM = (1.0, 4.0)
 PULSES, PULSE_HZ = 6, 350.0
 COMFORTABLE = 1.5
-"""Current over threshold at which patterns are recognized well (Kaczmarek)."""
+"""Current, relative to the threshold, at which patterns are recognized well (Kaczmarek)."""
 _DIP = 0.8
-"""Level between two places, over the lower of both, below which they are resolved. Ours."""
-_BLUR_MM = 0.6
-"""Standard deviation of a receptive field in that. Ours."""
-_ACROSS = 33
-_RESAMPLES = 2000
+"""Largest response between two resolved points, relative to the weaker point (our choice)."""
+_BLUR_MM = 0.6  # standard deviation of a receptive field, for resolving two points (our choice)
+_ACROSS = 33  # number of places along the line through two points
+_RESAMPLES = 2000  # number of bootstrap samples
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A published measurement."""
+    """Published measurement, and the range of simulated values that agree with it."""
 
-    key: str  # of `measured`; empty where the model has no such part
+    key: str  # key of the simulated value in `measured`; empty if it is not simulated
     quantity: str
-    published: str  # a dash if we could not read the number
-    agrees: tuple[float, float] | None  # values that agree with it
+    published: str  # a dash if we did not find the number
+    agrees: tuple[float, float] | None  # lowest and highest value that agree; None if unknown
     source: str
-    why: str
+    why: str  # why the simulated value agrees or disagrees
 
 
 _SOURCES = {
@@ -76,47 +75,50 @@ _SOURCES = {
     "paper": "the paper, III-C",
     "display": "[Kaczmarek](http://kaz.med.wisc.edu/projects_ethaptic.php), fingertip",
 }  # fmt: skip
-"""Where each was measured; references are in ``docs/references.md``."""
+"""Sources by key, with the measured skin or nerves; see also ``docs/references.md``."""
 EXPERIMENTS = (
     Experiment("disc", "threshold of a 1 mm disc, anodic, 200 µs, mA", "2.4 clearly felt", (0, 2.4),
-               _SOURCES["paper"], "a bound only; cable thresholds, no person's"),
-    Experiment("width", "threshold at 1000 µs over that at 100 µs", ".32 (I²T constant)",
+               _SOURCES["paper"], "an upper bound; our thresholds are those of a cable model"),
+    Experiment("width", "threshold at 1000 µs over threshold at 100 µs", ".32 (I²T constant)",
                (0.28, 0.35), _SOURCES["tachi"],
-               "Weiss's law is put in with 151 µs: a power of −.34, not −.5"),
-    Experiment("chronaxie", "time constant of RA by its own cable, µs", "151", (136, 166),
-               _SOURCES["rhesus"], "nodes of rabbits at 37 °C are faster; 151 is put in"),
+               "the model has Weiss's law with 151 µs: a power of −.34, not −.5"),
+    Experiment("chronaxie", "chronaxie of RA by its cable model, µs", "151", (136, 166),
+               _SOURCES["rhesus"], "the cable has faster nodes (rabbit, 37 °C); spikes use 151"),
     Experiment("polarity", "cathodic over anodic threshold of an RA ending", "1.3–1.5", (1.3, 1.5),
-               _SOURCES["rhesus"], "the terminal was fitted to it: no result"),
-    Experiment("size", "threshold of a 4 mm disc over that of 1 mm", "above 1", (1.02, np.inf),
-               _SOURCES["zhu"], "flatter fields; the three sources disagree, none is of a finger"),
-    Experiment("size", "the same", "below 1, up to 15 mm", (0, 0.98),
-               _SOURCES["tashiro"], "no sum over fibers: one spike is the threshold"),
-    Experiment("size", "the same", "1, no influence", (0.98, 1.02), _SOURCES["dölker"], ""),
-    Experiment("train", f"threshold of {PULSES} pulses over that of one", "below 1 (more pulses)",
-               (0, 0.999), _SOURCES["geng"], "by noise from pulse to pulse alone"),
-    Experiment("burst", f"spikes of {PULSES} pulses at {PULSE_HZ:g} Hz over those of one",
+               _SOURCES["rhesus"], "the terminal of the model was fitted to this ratio"),
+    Experiment("size", "threshold of a 4 mm disc over a 1 mm disc", "above 1", (1.02, np.inf),
+               _SOURCES["zhu"], "flatter fields; the three sources disagree, none used a finger"),
+    Experiment("size", "threshold of a 4 mm disc over a 1 mm disc", "below 1, up to 15 mm",
+               (0, 0.98), _SOURCES["tashiro"], "one spike is the threshold, not a sum over fibers"),
+    Experiment("size", "threshold of a 4 mm disc over a 1 mm disc", "1, no influence",
+               (0.98, 1.02), _SOURCES["dölker"], ""),
+    Experiment("train", f"threshold of {PULSES} pulses over one pulse", "below 1 (more pulses)",
+               (0, 0.999), _SOURCES["geng"], "only because of noise from pulse to pulse"),
+    Experiment("burst", f"spikes of {PULSES} pulses at {PULSE_HZ:g} Hz over one pulse",
                "2 (strength)", (1.8, 2.2), _SOURCES["bursts"],
-               "no such part: nothing turns spikes into strength"),
-    Experiment("pair", "threshold of two discs 4 mm apart, at once, over that of one", "below 1",
-               (0, 0.98), _SOURCES["geng"], "beside a disc its field has the other sign"),
-    Experiment("", "the same, one 0 to 500 µs after the other", "rises with the delay", None,
-               _SOURCES["geng"], "no such part: each pulse is judged by itself"),
-    Experiment("anodic", f"SAI of the afferents that {COMFORTABLE:g} × threshold fires, anodic",
+               "the model does not turn spikes into felt strength"),
+    Experiment("pair", "threshold of two simultaneous discs 4 mm apart over one disc", "below 1",
+               (0, 0.98), _SOURCES["geng"], "beside a disc, its field has the opposite sign"),
+    Experiment("", "threshold of two discs with a delay of 0 to 500 µs", "rises with the delay",
+               None, _SOURCES["geng"], "in the model each pulse acts independently"),
+    Experiment("anodic", f"SAI share of firing afferents, anodic, {COMFORTABLE:g} × threshold",
                "mainly vibration", (0, 0.3), _SOURCES["yem"],
-               "low: below .30, SAI's share of all afferents"),
-    Experiment("strong", "the same, 3 × threshold", "still low", (0, 0.3), _SOURCES["yem"], ""),
-    Experiment("cathodic", f"the same, cathodic, {COMFORTABLE:g} × threshold",
-               "vibration and pressure", (0.3, 0.9), _SOURCES["yem"], "SAI axons lie flat"),
-    Experiment("points_ra", "two points 4 mm apart resolved, RA mode", "–", None,
-               _SOURCES["solomonow"], "its abstract has no distance; the reader of spikes is ours"),
-    Experiment("points_sai", "the same, SAI mode", "–", None, _SOURCES["solomonow"], ""),
-    Experiment("level", f"letters read at {COMFORTABLE:g} × a point's threshold, less those at 1 ×",
+               "agrees below .30, which is the SAI share of all afferents"),
+    Experiment("strong", "SAI share of firing afferents, anodic, 3 × threshold", "still low",
+               (0, 0.3), _SOURCES["yem"], ""),
+    Experiment("cathodic", f"SAI share of firing afferents, cathodic, {COMFORTABLE:g} × threshold",
+               "vibration and pressure", (0.3, 0.9), _SOURCES["yem"], "SAI axons are horizontal"),
+    Experiment("points_ra", "points 4 mm apart are resolved, RA mode", "–", None,
+               _SOURCES["solomonow"], "the abstract has no distance; we chose the criterion"),
+    Experiment("points_sai", "points 4 mm apart are resolved, SAI mode", "–", None,
+               _SOURCES["solomonow"], ""),
+    Experiment("level", f"letters read at {COMFORTABLE:g} × threshold minus letters at threshold",
                "better", (0.02, 1), _SOURCES["display"], "fewer points are silent"),
 )  # fmt: skip
 
 
 class Bench:
-    """What all fingers share: profiles, patterns and letters."""
+    """Profiles, kernels and letters that all simulated fingers share."""
 
     def __init__(self, letters: str = ALPHABET) -> None:
         self.mouse: Profile = load_profile("electric-mouse")
@@ -134,7 +136,7 @@ class Bench:
 
 
 def measured(bench: Bench, anatomy: str, seed: int) -> dict[str, float]:
-    """Return the figure of each experiment on one finger, by its key."""
+    """Return the value of each experiment for one finger, by key."""
     finger = Finger(bench.mouse, seed, anatomy)
     model = SpikeModel(finger, seed)
     return {
@@ -147,7 +149,7 @@ def measured(bench: Bench, anatomy: str, seed: int) -> dict[str, float]:
 
 
 def disc_figures(model: SpikeModel) -> dict[str, float]:
-    """Return what single discs against all others, and pairs of them, give in one finger."""
+    """Return the values of experiments with single discs and with pairs of discs on one finger."""
     profile, finger = model.finger.profile, model.finger
     sites = inner_sites(profile)
     poles = against_all(profile, cathodic=False)[sites]
@@ -168,7 +170,7 @@ def disc_figures(model: SpikeModel) -> dict[str, float]:
 
 
 def _drive(model: SpikeModel, current_ma: Array, width_us: float = 200.0) -> Floats:
-    """Return drives (A, S) by currents (S, E) mA; 1 is an afferent's threshold."""
+    """Return the drive of each afferent, (A, S), for currents (S, E) mA; 1 is the threshold."""
     drive = model.drive(1000 * current_ma, np.full(len(current_ma), width_us))
     return np.maximum(drive, 1e-9)
 
@@ -179,7 +181,7 @@ def _sai_share(finger: Finger, drive: Floats) -> float:
 
 
 def _train_threshold(model: SpikeModel, drive: Floats) -> float:
-    """Return the current at which half of the trains give a spike, over that of single pulses."""
+    """Return the current at which half of the trains cause a spike, relative to single pulses."""
     noise = np.array([one.anatomy.noise for one in model.finger.populations.values()])
     noise = noise[model.finger.classes][:, None]
     levels = np.linspace(0.9, 1.02, 241)
@@ -194,7 +196,7 @@ def _train_threshold(model: SpikeModel, drive: Floats) -> float:
 
 
 def _burst_spikes(model: SpikeModel, current_ma: Array) -> float:
-    """Return the spikes of a burst over those of one pulse."""
+    """Return the number of spikes of a burst, relative to one pulse."""
     period_us = round(1e6 / PULSE_HZ)
 
     def spikes(count: int) -> int:
@@ -210,7 +212,7 @@ def _burst_spikes(model: SpikeModel, current_ma: Array) -> float:
 
 
 def _pair_ratio(model: SpikeModel) -> float:
-    """Return the threshold of two discs two pitches apart over the lower of both alone."""
+    """Return the threshold of two discs two pitches apart, relative to the more sensitive disc."""
     profile = model.finger.profile
     single, place = against_all(profile, cathodic=False), profile.electrodes.position_mm
     sites, away = inner_sites(profile), profile.electrodes.pitch_mm * np.array([2.0, 0.0])
@@ -221,19 +223,18 @@ def _pair_ratio(model: SpikeModel) -> float:
 
 
 def _size_ratio(bench: Bench, anatomy: str, seed: int) -> float:
-    """Return the threshold of a large disc over that of a small one, of whichever polarity fires
-    first.
+    """Return the threshold of a large disc relative to a small disc.
 
-    All thresholds are lowered, as fingers leave out what no legal current fires.
+    The polarity with the lower threshold is used. Thresholds are reduced as `LOWERED` describes.
     """
-    usual = load_anatomy(anatomy)
+    base = load_anatomy(anatomy)
     lowered = {
-        each.name.lower(): usual.of(each).model_copy(
-            update={"threshold_factor": usual.of(each).threshold_factor / EASED}
+        each.name.lower(): base.of(each).model_copy(
+            update={"threshold_factor": base.of(each).threshold_factor / LOWERED}
         )
         for each in Afferent
     }
-    own, poles = usual.model_copy(update=lowered), np.array([[1.0, -1.0], [-1.0, 1.0]])
+    own, poles = base.model_copy(update=lowered), np.array([[1.0, -1.0], [-1.0, 1.0]])
     small, large = (
         float(_drive(SpikeModel(Finger(profile, seed, own)), poles).max())
         for profile in bench.sized
@@ -242,15 +243,15 @@ def _size_ratio(bench: Bench, anatomy: str, seed: int) -> float:
 
 
 def _of_one_ending(finger: Finger) -> dict[str, float]:
-    """Return polarity ratio and chronaxie of an upright RA ending below the middle of a disc, as
-    deep as the finger's nearest."""
-    profile, is_like = finger.profile, finger.anatomy.ra
+    """Return the polarity ratio and the chronaxie of an upright RA fiber below the center of a
+    disc. Its ending is as deep as that of the nearest RA fiber of the finger."""
+    profile, anatomy = finger.profile, finger.anatomy.ra
     site = inner_sites(profile)[0]
     ra = finger.populations[Afferent.RA]
     depth_mm = ra.axon_path_mm[finger.receptor_away_mm[ra.owner, site].argmin(), 0, 2]
 
     def threshold_ma(width_us: float, sign: int) -> float:
-        driving = load_driving(is_like.fiber, is_like.ending, width_us)
+        driving = load_driving(anatomy.fiber, anatomy.ending, width_us)
         depth = depth_mm + driving.internode_mm * np.arange(120)
         place = np.broadcast_to(profile.electrodes.position_mm[site], (len(depth), 2))
         potential = potential_mv(profile, np.column_stack([place, depth]))[:, site]
@@ -262,8 +263,7 @@ def _of_one_ending(finger: Finger) -> dict[str, float]:
 
 
 def resolves_two_points(finger: Finger, current_ma: Array, places_mm: Array) -> bool:
-    """Return whether the map of spikes from slots, (S, E) mA, dips between two places, (2, 2)
-    mm."""
+    """Return whether the response to currents (S, E), mA, resolves two points, (2, 2) mm."""
     fires = _drive(SpikeModel(finger), current_ma) >= 1
     along = np.linspace(-0.25, 1.25, _ACROSS)[:, None]
     line = places_mm[0] + along * (places_mm[1] - places_mm[0])
@@ -290,7 +290,7 @@ def _points(bench: Bench, finger: Finger) -> dict[str, float]:
 
 
 def _letters(bench: Bench, model: SpikeModel) -> dict[str, float]:
-    """Return the share of letters that is read above a point's threshold only."""
+    """Return the share of letters read at `COMFORTABLE` × threshold minus that at threshold."""
     point_ma = CLEAR_MA * kernel_ma(bench.mouse, bench.bank, Afferent.RA)[bench.sites]
     level = median(1 / _drive(model, point_ma).max(axis=0))
     right = np.zeros(2)
@@ -303,19 +303,19 @@ def _letters(bench: Bench, model: SpikeModel) -> dict[str, float]:
 
 
 Measured = Mapping[str, Sequence[Mapping[str, float]]]
-"""Figures of each finger, by anatomy."""
+"""Values of each finger by key, as from `measured`, by anatomy."""
 
 
 def interval(values: Sequence[float]) -> tuple[float, float, float]:
-    """Return the mean of values of fingers, and its 95 % interval by resampling them."""
-    given = np.asarray(values)
-    picks = np.random.default_rng(1).integers(len(given), size=(_RESAMPLES, len(given)))
-    low, high = np.quantile(given[picks].mean(axis=1), (0.025, 0.975))
-    return float(given.mean()), float(low), float(high)
+    """Return the mean of the fingers' values and its 95 % confidence interval, by bootstrap."""
+    array = np.asarray(values)
+    picks = np.random.default_rng(1).integers(len(array), size=(_RESAMPLES, len(array)))
+    low, high = np.quantile(array[picks].mean(axis=1), (0.025, 0.975))
+    return float(array.mean()), float(low), float(high)
 
 
 def table(found: Measured) -> Iterator[str]:
-    """Yield a line for each experiment, as in the documentation."""
+    """Yield the lines of a Markdown table with a row for each experiment."""
     yield "| measurement | published | source | paper's anatomy | branched | agree | why |"
     yield "|---|---|---|---|---|---|---|"
     for each in EXPERIMENTS:
@@ -326,7 +326,7 @@ def table(found: Measured) -> Iterator[str]:
             mean, low, high = interval([one[each.key] for one in fingers])
             ours[index] = f"{mean:.3g} ({low:.3g}–{high:.3g})"
             if each.agrees is not None:
-                # What a mean is said to agree with: any value within its interval.
+                # The mean agrees if its interval overlaps the range of agreement.
                 agree[index] = "yes" if low <= each.agrees[1] and high >= each.agrees[0] else "no"
         both = agree[0] if agree[0] == agree[1] else ", ".join(agree)
         yield f"| {each.quantity} | {each.published} | {each.source} | " + (
@@ -335,7 +335,7 @@ def table(found: Measured) -> Iterator[str]:
 
 
 def main(count: int) -> None:
-    """Print the table for fingers with seeds from 1 on."""
+    """Print the table for fingers with the seeds 1 to ``count``."""
     bench, seeds = Bench(), range(1, count + 1)
     found = {each: [measured(bench, each, seed) for seed in seeds] for each in ANATOMIES}
     print(*table(found), sep="\n")

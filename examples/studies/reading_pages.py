@@ -1,8 +1,8 @@
-"""Pages at the nerve: level, size, style, scan and speed, and who knows where the finger is.
+"""Study of pages that are read from the spikes of simulated fingers, with different settings.
 
-``python examples/studies/reading_pages.py 20 pages.jsonl`` reads the sample page
-on 20 held-out fingers of each anatomy. Pages of your own may follow.
-It keeps each answer in the file, and goes on there.
+``python examples/studies/reading_pages.py 20 pages.jsonl`` reads the sample page with 20 fingers of
+each anatomy that were not used to choose settings. Add your own pages at the end of the command.
+Results are stored in the file ``pages.jsonl``, from which a later run continues.
 """
 
 import itertools
@@ -50,26 +50,26 @@ from smarttouch.running.config import RunConfig
 Counts, Values = NDArray[np.intp], NDArray[np.float32]
 ANATOMIES = ("paper", "branched")
 TUNED, HELD_OUT = (1, 2), 101
-"""Seeds of the fingers on which a setting is chosen, and first of those that judge it."""
-MOST_LINES = 2  # of each page
+"""Seeds of the fingers for choosing a setting, and first seed of the fingers for testing it."""
+MOST_LINES = 2  # largest number of lines read on a page
 LEAST_LOWER = 16
-"""Small letters that a line of running text has at least: headings are another question."""
-MOST_LAG = 24  # pulses, in which the finger moves by a pitch
+"""Smallest number of lowercase letters in a line that is read, so that headings are skipped."""
+MOST_LAG = 24  # largest number of pulses in which the finger is assumed to move by one pitch
 SAMPLE = "sample_images/page.png"
 OBSERVERS = ("knows the path", "spikes alone")
 JITTER_MM = (0.5, 1.0)
-"""Standard deviations of the position that an observer believes in, of each pulse by itself."""
+"""Standard deviations of the independent errors of an observer's position at each pulse."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """How a page is put under a finger."""
+    """Settings with which a page is presented to a finger."""
 
-    level: float = 1.0  # of the strongest comfortable current
+    level: float = 1.0  # current, relative to the strongest comfortable current
     style: str = "graded"
     scan: str = "auto"
-    speed: float = 1.0  # over the usual one, which gives each electrode four pulses a pitch
-    size: float = 1.0  # height of a line over that of the array
+    speed: float = 1.0  # speed, relative to that with four pulses of each electrode per pitch
+    size: float = 1.0  # height of a line, relative to the array
 
 
 BEFORE = Setting()
@@ -77,17 +77,17 @@ LEVELS, STYLES = (1.0, 0.7, 0.5, 0.4), ("graded", "plain")
 CHANGES: dict[str, tuple[Any, ...]] = {
     "scan": ("points", "frame"), "speed": (0.5, 2.0), "size": (0.75,),
 }  # fmt: skip
-"""What is tried at the best level and style, each by itself."""
+"""Values that are tested one at a time, with the best level and style."""
 
 
 @cache
 def profile() -> Profile:
-    """Return the array that reads."""
+    """Return the profile of the array on which pages are read."""
     return profile_for_reading(load_profile("electric-mouse"))
 
 
 def smaller(line: TouchLine, size: float) -> TouchLine:
-    """Return a line in the middle of the array, at a part of its height."""
+    """Return a line that is scaled by ``size`` and vertically centered on the array."""
     rows, columns = line.image.shape
     shape = max(1, round(columns * size)), max(1, round(rows * size))
     image = cv2.resize(line.image, shape, interpolation=cv2.INTER_AREA)
@@ -100,7 +100,7 @@ def smaller(line: TouchLine, size: float) -> TouchLine:
 
 @cache
 def delivered(page: str, setting: Setting) -> tuple[tuple[DeliveredLine, ...], str]:
-    """Return the first lines of running text as the board delivers them, and what they say."""
+    """Return the delivered pulses of the first lines of running text, and their text."""
     chosen, shapes = profile(), Shapes(setting.style == "graded")
     speed_mm_s = setting.speed * shapes.motion(chosen).speed_mm_s
     reading = LineDelivery(
@@ -113,7 +113,7 @@ def delivered(page: str, setting: Setting) -> tuple[tuple[DeliveredLine, ...], s
     running = (each for each in read if sum(map(str.islower, each[1])) >= LEAST_LOWER)
     found = [*itertools.islice(running, MOST_LINES)]
     if not found:
-        raise SystemExit(f"{page} has no line of at least {LEAST_LOWER} small letters")
+        raise SystemExit(f"no line of {page} has {LEAST_LOWER} lowercase letters: give other pages")
     indices, texts = zip(*found, strict=True)
     lines = [smaller(shape_line(sheet, k, chosen), setting.size) for k in indices]
     truth = "\n".join(texts)
@@ -121,8 +121,8 @@ def delivered(page: str, setting: Setting) -> tuple[tuple[DeliveredLine, ...], s
 
 
 def step_by_spikes(values: NDArray[np.float32]) -> float:
-    """Return how far a finger moves from pulse to pulse, mm, by the spikes around each electrode,
-    (N, E), alone: by the lag after which what one column has is most like what the next one had."""
+    """Estimate how far the finger moves from pulse to pulse, mm, from spikes around electrodes,
+    (N, E): the pitch divided by the lag with the highest correlation of neighboring columns."""
     places_mm = profile().electrodes.position_mm[:, 0]
     columns = np.unique(places_mm.round(3))
     by_column = np.stack([values[:, np.isclose(places_mm, x)] for x in columns], axis=1)
@@ -137,11 +137,11 @@ def step_by_spikes(values: NDArray[np.float32]) -> float:
     return float(columns[1] - columns[0]) / lag
 
 
-FULL_QUANTILE = 0.99  # of the spikes around electrodes: what counts as full
+FULL_QUANTILE = 0.99  # quantile of the spikes around electrodes that is scaled to 1
 
 
 def spikes_of(lines: Sequence[DeliveredLine], finger: Finger) -> Iterator[dict[int, Counts]]:
-    """Yield the spikes of each afferent, (A,), at each pose of each line."""
+    """Yield for each line the spike counts of afferents, (A,), by the number of the sequence."""
     model, silent = SpikeModel(finger), np.zeros(len(finger.classes), np.intp)
     for line in lines:
         periods = dict.fromkeys(line.poses, round(1e6 / finger.profile.pulse.rate_hz))
@@ -151,8 +151,8 @@ def spikes_of(lines: Sequence[DeliveredLine], finger: Finger) -> Iterator[dict[i
 
 
 def shown_by(lines: Sequence[dict[int, Counts]], finger: Finger) -> list[list[Values]]:
-    """Return the spikes around each electrode, (E,) in [0, 1], of all classes, relative to nearly
-    the most that any electrode has."""
+    """Return the spikes of all classes around each electrode, (E,), for each sequence of each line,
+    scaled by `FULL_QUANTILE` and clipped to [0, 1]."""
     away_mm = finger.receptor_mm[:, None] - finger.profile.electrodes.position_mm
     field = np.exp(-(away_mm**2).sum(axis=2) / (2 * FIELD_MM**2)).astype(np.float32)
     felt = [[counts @ field for counts in line.values()] for line in lines]
@@ -162,20 +162,20 @@ def shown_by(lines: Sequence[dict[int, Counts]], finger: Finger) -> list[list[Va
 
 @dataclass(frozen=True)
 class PageRow:
-    """What one finger reads of one page."""
+    """Result of one finger that reads one page."""
 
     page: str
     anatomy: str
     seed: int
     setting: Setting
-    errors: dict[str, float]  # share of wrong characters of each observer
+    errors: dict[str, float]  # share of wrong characters, by observer
     silent_points: float
     wrong_class: float
     misplaced: float
 
 
 def read_page(page: str, anatomy: str, seed: int, setting: Setting) -> PageRow:
-    """Return what each observer reads of a page by the spikes of one finger."""
+    """Return the errors of each observer who reads a page from the spikes of one finger."""
     lines, truth = delivered(page, setting)
     with threadpool_limits(limits=1, user_api="blas"):
         finger = Finger(profile(), seed, anatomy)
@@ -206,7 +206,7 @@ def read_page(page: str, anatomy: str, seed: int, setting: Setting) -> PageRow:
         errors[f"off by {spread:g} mm"] = rate(off)
     guessed = []
     for x_mm, shown in zip(true_mm, seen, strict=True):
-        # The finger rests until the point that marks a line's start is gone.
+        # The finger rests at the start of a line while a point marks the start.
         moving = x_mm > x_mm[0]
         step_mm = step_by_spikes(np.array(shown)[moving])
         guessed.append(x_mm[0] + step_mm * np.cumsum(moving))
@@ -221,7 +221,7 @@ def read_page(page: str, anatomy: str, seed: int, setting: Setting) -> PageRow:
 def rows_of(
     kept: Path, page: str, anatomy: str, seeds: Sequence[int], setting: Setting
 ) -> list[PageRow]:
-    """Return the rows of fingers, from the file where it has them."""
+    """Return the rows of fingers; compute and store those that the file does not have."""
     lines = kept.read_text().splitlines() if kept.is_file() else []
     known = [
         PageRow(**row | {"setting": Setting(**row["setting"])}) for row in map(json.loads, lines)
@@ -237,7 +237,7 @@ def rows_of(
 
 
 def with_interval(values: Sequence[float]) -> str:
-    """Return a median with 95 %, by resampling fingers."""
+    """Return the median and its 95 % confidence interval, by bootstrap over fingers, as text."""
     middle = f"{np.median(values):.2f}"
     if len(values) < 3 or len(set(values)) == 1:
         return middle
@@ -246,20 +246,20 @@ def with_interval(values: Sequence[float]) -> str:
 
 
 def table(rows: Sequence[PageRow]) -> Iterator[str]:
-    """Yield a line for each page, anatomy and setting, with the errors of each observer."""
+    """Yield a table row for each page, anatomy and setting, with the errors of each observer."""
     groups: dict[tuple[str, str, Setting], list[PageRow]] = {}
     for row in rows:
         groups.setdefault((row.page, row.anatomy, row.setting), []).append(row)
     for (page, anatomy, setting), those in groups.items():
         cells = [with_interval([row.errors[name] for row in those]) for name in those[0].errors]
         cells.append(with_interval([row.misplaced for row in those]))
-        said = ", ".join(f"{each}" for each in astuple(setting))
-        yield f"| {page} | {anatomy} | {said} | " + " | ".join(cells) + " |"
+        values = ", ".join(f"{each}" for each in astuple(setting))
+        yield f"| {page} | {anatomy} | {values} | " + " | ".join(cells) + " |"
 
 
 def worst(rows: Sequence[PageRow]) -> dict[Setting, float]:
-    """Return the mean error of each setting in the anatomy in which it is larger, of the observer
-    who knows the path."""
+    """Return for each setting the mean error of the observer who knows the path, in the anatomy
+    with the larger mean error."""
     errors: dict[tuple[Setting, str], list[float]] = {}
     for row in rows:
         errors.setdefault((row.setting, row.anatomy), []).append(row.errors[OBSERVERS[0]])
@@ -270,7 +270,7 @@ def worst(rows: Sequence[PageRow]) -> dict[Setting, float]:
 
 
 def chosen(kept: Path) -> tuple[Setting, list[PageRow]]:
-    """Return the best level and style on the fingers they are chosen on, and what these read."""
+    """Return the level and style with the smallest error on the `TUNED` fingers, and all rows."""
     grid = [Setting(level, style) for style in STYLES for level in LEVELS]
     both = itertools.product(grid, ANATOMIES)
     rows = [row for each, one in both for row in rows_of(kept, SAMPLE, one, TUNED, each)]
@@ -279,8 +279,8 @@ def chosen(kept: Path) -> tuple[Setting, list[PageRow]]:
 
 
 def main(fingers: str, kept: str, *pages: str) -> None:
-    """Choose on two fingers of each anatomy by one page, then judge on others, with what may be
-    changed, and by other pages."""
+    """Choose level and style on the sample page and the `TUNED` fingers. Test the choice on other
+    fingers, with each of `CHANGES`, and on other pages."""
     file = Path(kept)
     best, rows = chosen(file)
     print(*table(rows), sep="\n", flush=True)

@@ -1,12 +1,11 @@
-"""Spikes of a finger's afferents under a vibration or a press.
+"""Spikes of a simulated finger's afferents during vibration and pressure.
 
-The same population that currents drive (`smarttouch.physiology.finger`), each afferent with a
-threshold of its own. RA and PC follow the tuning of `smarttouch.physiology.vibration_thresholds`;
-from where an afferent begins to fire to `LOCKED` times that amplitude its part of the cycles with a
-spike rises from none to all, and each spike keeps to the phase of its cycle (as macaque afferents
-do: Talbot, Darian-Smith, Kornhuber and Mountcastle, J. Neurophysiol. 31, 1968). SAI fires at a rate
-that follows pressure. Away from what touches it the skin follows as an elastic half space does
-beside a flat punch.
+The afferents are those of `smarttouch.physiology.finger`, each with a threshold of its own. RA and
+PC are tuned as in `smarttouch.physiology.vibration_thresholds`. Above the threshold amplitude of an
+afferent, the share of cycles with a spike increases linearly, up to 1 at `LOCKED` times the
+threshold. Spikes are locked to the phase of a cycle, as in macaques (Talbot, Darian-Smith,
+Kornhuber and Mountcastle, J. Neurophysiol. 31, 1968). The rate of SAI follows pressure. Around the
+probe, the skin moves like an elastic half space beside a flat punch.
 """
 
 from dataclasses import dataclass
@@ -28,40 +27,40 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.vibration_thresholds import best_hz, threshold_um
 
 AFFERENT_UM = {Afferent.RA: 30.0, Afferent.PC: 1.2}
-"""Median amplitude at the class's best frequency at which an afferent begins to fire. Ours, after
-TouchSim, where no RA of nine answers 30 Hz at 8 µm and some 45 µm are needed, and so that PC comes
-in above RA at 30 Hz, as it does in feeling."""
+"""Median threshold amplitude of afferents at the best frequency of their class (our choice). In
+TouchSim, none of nine RA afferents responds to 8 µm at 30 Hz; about 45 µm are needed. In
+perception, RA responds to lower amplitudes at 30 Hz than PC."""
 DEEPER_MM = {Afferent.PC: 2.0}
-"""Width that a stimulus gains on its way down to a class. Ours: as much as PC lies deep."""
+"""Increase of the radius of a stimulus at the depth of PC (our choice: equal to the depth)."""
 LOCKED = 1.8
-"""Amplitude of a spike in every cycle over that of the first spikes. Ours."""
+"""Amplitude with a spike in every cycle, relative to the threshold amplitude (our choice)."""
 SPREAD = 0.35
-"""Standard deviation of the logarithm of thresholds and of SAI's rates between afferents. Ours."""
+"""Standard deviation of the logarithm of thresholds, and of rates of SAI (our choice)."""
 PROBE_MM = 1.0
-"""Radius of what touches the skin, if not given. Ours."""
+"""Default radius of the probe that touches the skin (our choice)."""
 
 
 @dataclass(frozen=True, eq=False)
 class SkinSpikes:
-    """Spikes of afferents under a trace."""
+    """Spikes of afferents during a trace of vibration and pressure."""
 
-    # (K,) int: number of the afferent of each spike, as in `Finger.classes`
+    # (K,) int: index of the afferent of each spike, as in `Finger.classes`
     afferent: NDArray[np.intp]
-    time_s: Array  # (K,), s
+    time_s: Array  # (K,), s: time of each spike
     counts: NDArray[np.intp]  # (A,): number of spikes of each afferent
 
 
 def skin_spikes(
     finger: Finger,
-    trace: Trace,  # what moves and presses the skin
-    place_mm: tuple[float, float] = (0.0, 0.0),  # middle of what touches it
-    radius_mm: float = PROBE_MM,  # its radius
-    seed: int = 1,  # of thresholds and of the cycles that are left out
-    # sai_full_n, sai_rate_hz: force at which SAI is driven in full, and its rate then
+    trace: Trace,  # displacement and force of the probe
+    place_mm: tuple[float, float] = (0.0, 0.0),  # center of the probe
+    radius_mm: float = PROBE_MM,  # radius of the probe
+    seed: int = 1,  # seed of thresholds and of cycles without a spike
+    # sai_full_n, sai_rate_hz: force at which the drive of SAI is 1, and rate of SAI at this force
     sai_full_n: float = SAI_FULL_N,
     sai_rate_hz: float = SAI_RATE_HZ,
 ) -> SkinSpikes:
-    """Return the spikes that a vibration or press gives the afferents of a finger.
+    """Return the spikes of a finger's afferents during a trace of vibration and pressure.
 
     Examples
     --------

@@ -1,5 +1,5 @@
-"""Figures of a vibration in three primary colors: thresholds of each class by frequency (the
-paper's Fig. 2), responses over time, and the pulses of a mixture."""
+"""Figures of tactile primary colors: the thresholds of each class over frequency (the paper's Fig.
+2), and the response and the pulses of each class over time."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,7 @@ _MOST_POINTS = 20_000
 
 
 def thresholds_figure() -> "Figure":
-    """Draw the detection thresholds of RA, SAI and PC by frequency, with the paper's bands."""
+    """Draw the detection thresholds of RA, SAI and PC over frequency, with the paper's bands."""
     frequency_hz = np.geomspace(0.5, 1000, 400)
     figure = new_figure(5.6, 3.6)
     axes = figure.subplots()
@@ -39,13 +39,13 @@ def thresholds_figure() -> "Figure":
     axes.minorticks_off()
     axes.set_yticks([0.1, 1, 10, 100, 1000], ["0.1", "1", "10", "100", "1000"])
     axes.legend(frameon=False, fontsize=8)
-    title = "Detection threshold of each class (| the paper's bands)"
+    title = "Detection threshold of each class (|: edges of the paper's bands)"
     plain(axes, title, "frequency (Hz)", "amplitude (µm)")
     return figure
 
 
 def draw_mixture(trace: Trace, mixture: Mixture) -> "Figure":
-    """Draw a vibration, the response of each class, and the pulses of each."""
+    """Draw a vibration, and the response and the pulses of each class."""
     time_s, answers = trace.time_s, mixture.answers
     figure = new_figure(8.4, 2.0 + 1.15 * len(answers))
     panels = figure.subplots(

@@ -1,4 +1,4 @@
-"""The paper's qualitative effects come out of simulated fingers that were not fitted to them."""
+"""Tests of examples/studies: effects of the paper, pages and vibrations on simulated fingers."""
 
 import json
 from dataclasses import replace
@@ -53,7 +53,7 @@ def mouse():
 
 @pytest.mark.parametrize("anatomy", ["paper", "branched"])
 def test_sai_comes_first_in_sai_mode_and_vibration_later(anatomy):
-    """Section III-B.1: pressure, then vibration at 1.5 and more of its current."""
+    """Vibration begins at a clearly higher current than pressure (III-B.1: 1.5 times)."""
     found = stages(anatomy, SEEDS)
     first = {each: current_ma[0] for each, current_ma in found.items()}
     assert min(first, key=first.get) is Afferent.SAI
@@ -62,7 +62,7 @@ def test_sai_comes_first_in_sai_mode_and_vibration_later(anatomy):
 
 
 def test_a_cathode_blurs_what_an_anode_focuses(mouse):
-    """Section III-B.5, Fig. 15."""
+    """Receptors of afferents that a cathode fires are farther away (Section III-B.5, Fig. 15)."""
     anodic, cathodic = (
         shift(
             mouse.fingers, CLEAR_MA * against_all(mouse.profile, each), mouse.sites, list(Afferent)
@@ -75,10 +75,10 @@ def test_a_cathode_blurs_what_an_anode_focuses(mouse):
 
 @pytest.mark.parametrize(("flat_mm", "shift_mm"), [(3.0, 1.9), (5.0, 2.7), (7.0, 3.5)])
 def test_pc_is_felt_toward_the_fingertip(mouse, flat_mm, shift_mm):
-    """Section III-B.4: 1 to 3 mm, which holds of axons taken to run flat for up to 5 mm.
+    """The shift is 1 to 3 mm, as in Section III-B.4, if horizontal axons are at most 5 mm long.
 
-    Means over 20 fingers; those over four of them differ by up to .16 mm. With kernels designed at
-    places .1 mm apart, axons of the assumed 7 mm are felt half a millimeter farther than it says.
+    Expected shifts are means over 20 fingers; means over 4 of these differ by up to 0.16 mm. Axons
+    of 7 mm, which our anatomy assumes, exceed the paper's range by half a millimeter.
     """
     anatomy, none = load_anatomy("paper"), {"density_per_cm2": 0.0}
     alone = {each: getattr(anatomy, each).model_copy(update=none) for each in ("ra", "sai")}
@@ -94,11 +94,11 @@ def test_pc_is_felt_toward_the_fingertip(mouse, flat_mm, shift_mm):
 
 @pytest.mark.parametrize(("mode", "most_pc"), [(Afferent.RA, 0.06), (Afferent.SAI, 0.15)])
 def test_each_mode_fires_its_class_most(mouse, mode, most_pc):
-    """PC are .027 of what RA mode fires, .117 in SAI mode, over 60 fingers.
+    """Each mode fires mostly its own class, and few PC.
 
-    Of four fingers the shares differ with a standard deviation of .016 and .018: the bounds are two
-    above. (Kernels of places .5 mm apart fired .009 and .115.) RA mode fires no
-    PC, says the paper; of SAI mode it says only that it is pure in a narrow range of currents.
+    Over 60 fingers, 0.027 times as many PC as RA fire in RA mode, and 0.117 times as many PC as SAI
+    in SAI mode. Over 4 fingers, these shares have standard deviations of 0.016 and 0.018; the
+    bounds are two standard deviations above the shares. In the paper RA mode fires no PC at all.
     """
     current_ma = CLEAR_MA * kernel_ma(mouse.profile, mouse.bank, mode)[mouse.sites]
     counts = sum(
@@ -109,7 +109,7 @@ def test_each_mode_fires_its_class_most(mouse, mode, most_pc):
 
 
 def test_an_anodic_disc_in_a_ring_fires_ra_alone():
-    """Section III-C: RA mode of the concentric electrode reaches no PC."""
+    """RA mode of the concentric electrode fires no PC, as in Section III-C."""
     counts = reached(load_profile("concentric"), -CLEAR_MA, "paper", SEEDS)
     assert counts[Afferent.RA] > 0
     assert counts[Afferent.SAI] == counts[Afferent.PC] == 0
@@ -128,7 +128,7 @@ def test_far_points_are_distinguished_and_one_is_not(mouse):
 
 def test_lone_discs_give_the_figures_of_published_experiments(mouse):
     found = disc_figures(SpikeModel(mouse.fingers[0]))
-    # Weiss's law with the anatomy's time constant, whichever afferent is first.
+    # All afferents follow Weiss's law with the same chronaxie, so the ratio is the law's.
     chronaxie_us = mouse.fingers[0].anatomy.ra.chronaxie_us
     weiss = (1 + chronaxie_us / 1000) / (1 + chronaxie_us / 100)
     assert found["width"] == pytest.approx(weiss, rel=1e-3)
@@ -167,7 +167,7 @@ def fingers():
 
 
 def nearest_hz(fingers, spec, afferent, count):
-    """Rates of the nearest afferents of a class, (F, count) Hz."""
+    """Return the rates of the afferents of a class nearest to the center, (F, count) Hz."""
     rates = []
     for finger in fingers:
         mine = np.flatnonzero(finger.classes == afferent)
@@ -177,7 +177,7 @@ def nearest_hz(fingers, spec, afferent, count):
 
 
 def test_rates_are_those_of_touchsim(fingers):
-    """No RA of nine answers 8 µm at 30 Hz, some 45 µm are needed; a press gives SAI 24 Hz."""
+    """As in TouchSim, RA responds to 45 µm at 30 Hz but not to 8 µm, and SAI fires at 24 Hz."""
     assert (nearest_hz(fingers, "tone:30Hz,8um", Afferent.RA, 9) > 0).mean() < 1 / 18
     assert (nearest_hz(fingers, "tone:30Hz,45um", Afferent.RA, 2) > 0).mean() > 0.8
     pressed = nearest_hz(fingers, "press:0.45N", Afferent.SAI, 2)
@@ -193,7 +193,7 @@ def test_spikes_keep_to_the_phase_and_none_comes_twice_in_a_cycle(fingers):
     assert spikes.counts[fingers[0].classes == Afferent.RA].max() <= 31
 
 
-# The shallowest, those of RA and SAI, and the deepest.
+# The smallest depth, the depths of RA and SAI, and the largest depth of `af_error`.
 DEPTHS_MM = (0.5, 0.7, 0.9, 2.0)
 
 
@@ -201,7 +201,7 @@ DEPTHS_MM = (0.5, 0.7, 0.9, 2.0)
 def depths(profile):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(af_error, "DEPTHS_MM", DEPTHS_MM)
-        # What is asked of the figures below are not their last digits.
+        # Use fewer nodes and longer time steps: the tests below have wide tolerances.
         patch.setattr(af_error, "_NODES", 121)
         patch.setattr(af_error, "threshold_ma", partial(threshold_ma, step_us=5.0))
         rows = af_error.af_error_table(profile)
@@ -209,7 +209,7 @@ def depths(profile):
 
 
 def test_one_threshold_gives_all_of_a_flat_fiber(depths):
-    """Within a fifth over depth and polarity, at the internodes of a fingertip."""
+    """At all depths and both polarities, the prediction is within a fifth of the cable model."""
     for depth_mm in DEPTHS_MM:
         for polarity in ("cathodic", "anodic"):
             assert depths["flat fiber", polarity, depth_mm].ratio == pytest.approx(1, abs=0.2)
@@ -218,12 +218,12 @@ def test_one_threshold_gives_all_of_a_flat_fiber(depths):
 
 def test_endings_need_more_than_by_the_af(depths):
     for depth_mm in DEPTHS_MM:
-        assert depths["rising, passive ending", "anodic", depth_mm].ratio < 0.7
-        assert depths["rising, active ending", "cathodic", depth_mm].ratio < 0.5
+        assert depths["upright, passive ending", "anodic", depth_mm].ratio < 0.7
+        assert depths["upright, active ending", "cathodic", depth_mm].ratio < 0.5
 
 
 def test_the_af_has_no_cathode_for_a_passive_ending_the_cable_has(depths):
-    row = depths["rising, passive ending", "cathodic", 0.7]
+    row = depths["upright, passive ending", "cathodic", 0.7]
     assert row.af_ma == float("inf")
     assert row.cable_ma < 5
-    assert row.cable_ma > depths["rising, passive ending", "anodic", 0.7].cable_ma
+    assert row.cable_ma > depths["upright, passive ending", "anodic", 0.7].cable_ma
