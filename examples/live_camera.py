@@ -72,5 +72,5 @@ for column, result in zip(panels.T, kept[:: max(1, len(kept) // 6)], strict=Fals
 for axes in panels.flat:
     axes.set(xticks=[], yticks=[])
 panels[0, 0].set_ylabel("camera")
-panels[1, 0].set_ylabel("mA, 0 to 3")
+panels[1, 0].set_ylabel("0 to 3 mA")
 plt.show()

@@ -44,7 +44,7 @@ figure, axes = plt.subplots(figsize=(7, 2.6), layout="constrained")
 for afferent, color in ((st.Afferent.RA, "#d55e00"), (st.Afferent.SAI, "#0072b2")):
     drive = [step.tactile.activation[afferent].sum() for step in steps]
     axes.plot(time_s, drive, color=color, label=afferent.name)
-axes.set(xlabel="time (s)", ylabel="activation, all electrodes")
+axes.set(xlabel="time (s)", ylabel="summed activation")
 axes.legend(frameon=False)
 
 # %%

@@ -70,9 +70,9 @@ toward_mm = [
 shifted.hist(np.concatenate(toward_mm), bins=np.arange(-4, 10), color=CLASS_COLORS[st.Afferent.PC])
 shifted.axvspan(1, 3, color="0.9", zorder=0)
 shifted.axvline(-found.y_mm, color="black")
-shifted.set(xlabel="toward the fingertip (mm)", ylabel="afferents", title="PC mode: felt elsewhere")
+shifted.set(xlabel="toward the fingertip (mm)", ylabel="afferents", title="PC mode: receptors")
 plt.show()
-print(f"PC is felt {-found.y_mm:.1f} mm toward the fingertip")
+print(f"PC receptors lie on average {-found.y_mm:.1f} mm toward the fingertip")
 
 # %%
 # Draw the afferents that the concentric electrode of Section III-C fires: an anodic disc in a ring.
@@ -87,7 +87,7 @@ for afferent, color in CLASS_COLORS.items():
     mine = finger.classes == afferent
     ring.scatter(*finger.receptor_mm[mine].T, s=6, color=color, alpha=0.25)
     ring.scatter(*finger.receptor_mm[mine & fires].T, s=30, color=color, label=afferent.name)
-    print(f"{afferent.name}: {np.sum(mine & fires)} fire under the concentric electrode")
+    print(f"{afferent.name}: {np.sum(mine & fires)} afferents fire")
 ring.set(xlim=(-4.5, 4.5), ylim=(4.5, -4.5), aspect="equal", title="Disc of 1 mm in a ring, anodic")
 ring.legend()
 plt.show()

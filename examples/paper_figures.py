@@ -38,7 +38,7 @@ for afferent in st.Afferent:
     axes.plot(across_mm, af, color=CLASS_COLORS[afferent], label=f"{depth:g} mm deep")
 axes.axhline(0, color=GREY, lw=0.6)
 axes.legend(frameon=False, fontsize=8)
-axes.set(xlabel="place along the axon (mm)", title="Fig. 5",
+axes.set(xlabel="position along the axon (mm)", title="Fig. 5",
          ylabel=f"AF / largest AF at {line.skin.ra_depth_mm:g} mm")  # fmt: skip
 plt.show()
 
@@ -80,7 +80,7 @@ def draw_depths(axes, weights, vertical, title):
             label = f"{weight:+.2g}".replace("-", "−").replace("0.", ".")
             axes.text(place, 0, label, ha="center", va="center", fontsize=6, color="white")
     axes.set(ylim=(depths_mm[-1], 0), xlim=(-4, 4), ylabel="depth (mm)",
-             xlabel="place (mm)", aspect="auto")  # fmt: skip
+             xlabel="x (mm)", aspect="auto")  # fmt: skip
     axes.set_title(title, fontsize=9, pad=9)
     return drawn
 
@@ -89,13 +89,13 @@ def add_scale(figure, drawn, panels):
     """Add a color scale labeled with AF values, although colors show their cube roots."""
     bar = figure.colorbar(drawn, ax=panels, ticks=np.cbrt([-1, -0.1, -0.01, 0, 0.01, 0.1, 1]))
     bar.ax.set_yticklabels(["−1", "−.1", "−.01", "0", ".01", ".1", "1"], fontsize=7)
-    bar.set_label("AF, depolarizing above 0", fontsize=8)
+    bar.set_label("AF (above 0: depolarizing)", fontsize=8)
 
 
 alone = np.array([0.0, 0, 0, 1, 0, 0, 0])
 patterns = {
-    "(a) anodes around the cathode: shallow": np.array([0, 0, -0.5, 1, -0.5, 0, 0]),
-    "(b) cathodes around the cathode: deep": np.array([-1.5, 0, 1, 1, 1, 0, -1.5]) / 3,
+    "(a) anodes beside the cathode: shallow": np.array([0, 0, -0.5, 1, -0.5, 0, 0]),
+    "(b) cathodes beside the cathode: deep": np.array([-1.5, 0, 1, 1, 1, 0, -1.5]) / 3,
 }
 figure, panels = plt.subplots(2, 2, figsize=(7.5, 5.2), width_ratios=[1.6, 1], layout="constrained")
 below_mm = np.linspace(0.8, 3.0, 111)
@@ -110,8 +110,8 @@ for (left, right), (title, weights) in zip(panels, patterns.items(), strict=True
         depth = depth_mm(line.skin, afferent)
         right.axhline(depth, color=CLASS_COLORS[afferent], lw=0.8)
         right.text(1.29, depth + 0.03, afferent.name, fontsize=7, ha="right", va="top")
-    right.set(xlim=(0, 1.3), ylim=(3.0, 0.8), title="under the middle", ylabel="depth (mm)",
-              xlabel="AF, relative to that at SAI depth")  # fmt: skip
+    right.set(xlim=(0, 1.3), ylim=(3.0, 0.8), title="below the middle", ylabel="depth (mm)",
+              xlabel="AF, relative to the depth of SAI")  # fmt: skip
     right.legend(frameon=False, fontsize=7, loc="lower right")
 add_scale(figure, drawn, panels)
 plt.show()

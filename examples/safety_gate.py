@@ -21,7 +21,7 @@ step = max(st.steps(source, profile, mode="RA"), key=lambda each: each.sequence.
 sequence = step.sequence
 
 limits = st.SafetyLimits.of(profile)
-print(f"{limits.current_ma} mA an electrode, {limits.total_ma} mA in a slot")
+print(f"limits: {limits.current_ma} mA per electrode, {limits.total_ma} mA per slot")
 
 
 # %%

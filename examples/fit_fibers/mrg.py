@@ -48,8 +48,8 @@ class MrgFiber:
             from pyfibers import FiberModel, build_fiber
         except (ImportError, OSError) as error:
             raise DesignError(
-                f"the MRG model needs PyFibers and NEURON, which are not ready here ({error}): "
-                'pip install "neuron>=9" "pyfibers>=0.13", then run pyfibers_compile'
+                f"PyFibers and NEURON, which the MRG model needs, cannot be loaded ({error}): run "
+                'pip install "neuron>=9" "pyfibers>=0.13", then pyfibers_compile'
             ) from None
         logging.getLogger("pyfibers").setLevel(logging.ERROR)
         self._fiber: Any = build_fiber(

@@ -30,8 +30,8 @@ STAGES_MA = (0.2, 0.4, 0.6, 1.0)
 CLEAR_MA = 2.4
 """Current that was clearly felt on a disc of 1.0 mm (Section III-C)."""
 LOWERED = 20.0
-"""Factor by which some functions lower thresholds and then raise results, because `Finger` omits
-nodes that no legal current fires."""
+"""Factor by which thresholds are lowered, because `Finger` omits nodes that no legal current fires.
+The resulting currents are multiplied by this factor again."""
 
 
 @dataclass(frozen=True)
