@@ -62,7 +62,7 @@ def test_sai_comes_first_in_sai_mode_and_vibration_later(anatomy):
 
 
 def test_a_cathode_blurs_what_an_anode_focuses(mouse):
-    """Receptors of afferents that a cathode fires are farther away (Section III-B.5, Fig. 15)."""
+    """A cathode fires afferents with more distant receptors than an anode (III-B.5, Fig. 15)."""
     anodic, cathodic = (
         shift(
             mouse.fingers, CLEAR_MA * against_all(mouse.profile, each), mouse.sites, list(Afferent)
@@ -177,7 +177,7 @@ def nearest_hz(fingers, spec, afferent, count):
 
 
 def test_rates_are_those_of_touchsim(fingers):
-    """As in TouchSim, RA responds to 45 µm at 30 Hz but not to 8 µm, and SAI fires at 24 Hz."""
+    """As in TouchSim, RA responds to 45 µm at 30 Hz but not to 8 µm; pressed SAI fire at 24 Hz."""
     assert (nearest_hz(fingers, "tone:30Hz,8um", Afferent.RA, 9) > 0).mean() < 1 / 18
     assert (nearest_hz(fingers, "tone:30Hz,45um", Afferent.RA, 2) > 0).mean() > 0.8
     pressed = nearest_hz(fingers, "press:0.45N", Afferent.SAI, 2)

@@ -25,7 +25,7 @@ def open_bar(rest: str, profile: st.Profile, *, speed_mm_s: float = 10.0) -> "Ba
             f"{profile.optics.field_width_mm:g}"
         )
     if not 0 < speed_mm_s <= 1000:
-        message = f"speed_mm_s={speed_mm_s:g} is not possible: give 1000 mm/s or less, above 0"
+        message = f"speed_mm_s={speed_mm_s:g} is out of range: give above 0 and at most 1000 mm/s"
         raise st.SourceError(message)
     return BarSource(width_mm, speed_mm_s, profile)
 
