@@ -35,4 +35,4 @@ print(rows[0])
 # spikes of other classes, and of spikes more than a pitch away from all electrodes of the letter.
 heading, lines = study_table(study_sums(rows))
 for line in [heading, *lines]:
-    print("".join(cell.ljust(24 if column == 1 else 11) for column, cell in enumerate(line)))
+    print("".join(cell.ljust(22 if column == 1 else 18) for column, cell in enumerate(line)))
