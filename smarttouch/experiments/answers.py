@@ -39,7 +39,7 @@ COLUMNS = {
     "comparison": NUMBER,  # current, frequency, distance or softness
     "comparison_interval": OPTIONAL,  # 1 or 2; empty in trials with a single interval
     "unit": WORDS,  # of standard and comparison, such as Hz, mA or mm
-    "target": WORDS, "response": WORDS,  # correct response; response, empty without an answer
+    "target": WORDS, "response": WORDS,  # correct response; response given, empty if none
     "success": ANSWER,  # 1 if judged higher, felt or correct, else 0; empty without an answer
     "rt": OPTIONAL,  # reaction time from the end of the stimulus, s
     "time_s": NUMBER, "level": NUMBER,  # time in the run; intensity chosen by the user, 0 to 1
@@ -302,8 +302,8 @@ class Answers:
 
 def usual_model(
     all_answers: Sequence[Answers],  # one for each standard
-    # None means: "equal" with standards or negative comparisons; else 1 / `Answers.alternatives` if
-    # known; else "free" if a comparison is 0; else 0.
+    # See `Model.guess`. None: "equal" if there are standards or negative comparisons; otherwise
+    # 1 / `Answers.alternatives` if known; otherwise "free" if a comparison is 0; otherwise 0.
     guess: Guess | None = None,
     at: float | None = None,  # share of successes at the threshold, see `Model`
 ) -> Model:

@@ -129,7 +129,7 @@ def file_to_calibrate(
     output: Path,
     overwrite: bool = False,  # whether to replace an earlier calibration of this name
     *,
-    # whether the results are simulated; they replace measured ones only with ``overwrite``
+    # whether the results are simulated; such results replace measured ones only with `overwrite`
     simulated: bool = False,
 ) -> ProfileFile:
     """Return the profile file to which a calibration adds its results.

@@ -1,6 +1,5 @@
-"""Catalog of experiments: those of the package by name, those of users by file.
-
-An error in a user's file becomes an ExperimentError that names the line."""
+"""Experiments of the package, by name, and of users, by file. An error in a user's file becomes an
+ExperimentError that names the line."""
 
 import math
 import runpy
@@ -40,11 +39,11 @@ from smarttouch.experiments.trials import (
 
 _MOST_BYTES = 10_000_000
 PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
-"""Standards for PC, Hz: those for RA, and two at which the paper's thresholds change (Fig. 18)."""
+"""Standards for PC, Hz: `STANDARDS_HZ`, and two at which thresholds change (paper, Fig. 18)."""
 _NARROWEST_RATIO, _START_RATIO = 1.01, 1.6  # smallest and first ratio of comparison to standard
 _STEP = 0.03
-"""Relative step down of a frequency staircase. It is finer than 5 %, a quarter of the threshold of
-about 20 % for mechanical vibration."""
+"""Relative step down of a frequency staircase. The threshold for mechanical vibration is about
+20 %, and the step is less than a quarter of that."""
 LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
 """Levels of the detection experiment, relative to the profile's threshold (our own choice)."""
 _DETECTION_STEP = 0.05  # relative step down of a detection staircase
@@ -53,7 +52,7 @@ SOFTNESSES = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)  # each compared with softness 0 (ou
 _FARTHEST = 4  # largest offset in `localization`, in electrodes
 _DISCOMFORTS = 5  # default number of trials of `discomfort`
 _SLOWER = 2.0
-"""Smallest rise time of the current in `discomfort`, relative to the ramp of the profile."""
+"""Smallest rise time of the current in `discomfort`, divided by the ramp time of the profile."""
 
 
 @dataclass(frozen=True)
@@ -124,8 +123,8 @@ def _faster(setup: Setup, standards: tuple[float, ...], highest_hz: float) -> Pr
 def detection(setup: Setup) -> Trials:
     """Ask whether the participant feels a pulse train.
 
-    The comparison is the current of the strongest electrode of the site's kernel, mA. It is 0 in
-    some trials of constant stimuli.
+    The comparison is the current of the kernel's strongest electrode, mA. In the constant
+    procedure, some trials have no current.
     """
     threshold_ma, full_ma = _currents_ma(setup)
     train = setup.train([setup.place], setup.pulse_hz)
@@ -172,7 +171,7 @@ def discomfort(setup: Setup) -> Trials:
     for repetition in range(setup.total):
         yield Trial(
             Condition(0.0, math.nan, repetition=repetition), (train,), "enough",
-            "press Enter when it is enough", "mA", exact=True,
+            "press Enter when the current is strong enough", "mA", exact=True,
             answers={"\n": "y", "\r": "y", "y": "y", "n": "n"},
             course=_rising(train, _currents_ma(setup)[1]),
         )  # fmt: skip
@@ -192,7 +191,7 @@ def _rising(train: Train, full_ma: float) -> Course:
 
 
 def localization(setup: Setup) -> Trials:
-    """Ask whether a point is left or right of an earlier one. The comparison is its offset, mm."""
+    """Ask whether the second of two points is left or right. The comparison is the offset, mm."""
     site, place_mm = setup.place, setup.profile.electrodes.position_mm
     driven = setup.profile.driven
     beside = {
@@ -252,7 +251,7 @@ CATALOG = {
         "is a pulse train felt: threshold current, mA", detection, ADAPTIVE
     ),
     "discomfort": Experiment(
-        "when is a rising current enough: current, mA", discomfort, (LIMITS,), 10.0
+        "when is a rising current strong enough: current, mA", discomfort, (LIMITS,), 10.0
     ),
     "localization": Experiment("is the second point left or right: offset, mm", localization),
     "softness": Experiment(

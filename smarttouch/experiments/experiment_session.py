@@ -17,7 +17,7 @@ from smarttouch.experiments.procedures import LIMITS, middle_and_spread
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import Answer, Setup, Trial, Trials
 
-_TOLERANCE = 1e-6  # for conditions that were written to a file and read again
+_TOLERANCE = 1e-6  # allowed relative or absolute rounding error of conditions read from a file
 
 
 @dataclass
@@ -94,9 +94,10 @@ class ExperimentSession:
         if self.setup.procedure == LIMITS:
             if successes:
                 middle, spread = middle_and_spread([_comparison(success) for success in successes])
-                yield f"enough at {middle:.3f} mA (median of {len(successes)}; spread {spread:.3f})"
+                words = f"median of {len(successes)} trials; spread {spread:.3f} mA"
+                yield f"strong enough at {middle:.3f} mA ({words})"
             if len(successes) < len(rows):
-                yield f"largest current not enough in {len(rows) - len(successes)} trials"
+                yield f"largest current not strong enough in {len(rows) - len(successes)} trials"
         elif missing < len(rows):
             yield f"fit the answers: smarttouch experiment fit {self.file.path}"
 

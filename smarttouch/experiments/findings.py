@@ -21,7 +21,7 @@ MOST_UNANSWERED = 0.5
 SAME_INTERVAL = 0.95
 """Largest allowed share of answers for one interval. Above it answers ignore the stimulus."""
 FLAT = 0.02  # significance level of the test for a dependence on the comparison
-_FALLING = -2.58  # z score of a falling trend; by chance it is lower in 1 of 200 sessions
+_FALLING = -2.58  # a trend is falling if its z score is lower; by chance in 1 of 200 sessions
 _CURVE_POINTS = 301
 _BOUNDED = ("threshold", "weber", "middle", "lower", "lower_weber")
 
@@ -69,15 +69,15 @@ class Finding:
 
     @cached_property
     def middle(self) -> Bounded | None:
-        """Stimulus at which F is 0.5: the point of subjective equality if the asymptotes are
-        equal."""
+        """Stimulus at which the cumulative normal F is 0.5. If `Model.guess` is "equal", this is
+        the point of subjective equality."""
         return self._at(0.5)
 
     @cached_property
     def lower(self) -> Bounded | None:
-        """Lower threshold, at which F is 1 minus its value at the upper threshold.
+        """Lower threshold: the stimulus at which the cumulative normal F is 1 minus `Model.level`.
 
-        None if this threshold is below all comparisons, or if the asymptotes are not equal.
+        None if this threshold is below all comparisons, or if `Model.guess` is not "equal".
         """
         if self.model.guess != "equal":
             return None
@@ -86,12 +86,12 @@ class Finding:
 
     @property
     def weber(self) -> Bounded | None:
-        """Weber fraction: upper threshold over standard, minus 1 (paper, Fig. 16, bottom)."""
+        """Weber fraction: upper threshold divided by standard, minus 1 (paper, Fig. 16, bottom)."""
         return self._relative(self.threshold)
 
     @property
     def lower_weber(self) -> Bounded | None:
-        """Weber fraction of the lower threshold: its ratio to the standard, minus 1; negative."""
+        """Negative Weber fraction: lower threshold divided by standard, minus 1."""
         return self._relative(self.lower)
 
     def _at(self, part: float) -> Bounded | None:
@@ -122,7 +122,8 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
         return none(f"never {success} in {total} answers: a threshold lies above {high:.4g}")
     share = successes / total
     if len(counts.stimulus) == 1:
-        return none(f"{success} in {share:.0%} of {total} answers, but all were at {low:.4g}")
+        why = f"{success} in {share:.0%} of {total} answers, all at the comparison {low:.4g}"
+        return none(f"{why}: test several comparisons")
     found = fit(counts, model, answers.standard)
     if _chance_of_flat(found, _guessing(answers, model)) > FLAT:
         if _trend(counts) < _FALLING:
@@ -138,7 +139,7 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
     low, high = (float(bound) for bound in model.stimulus(found.ends))
     if not low <= threshold <= high:
         end = f"above {high:.4g}" if threshold > high else f"below {low:.4g}"
-        why = f"the threshold, at {model.share:.0%}, lies {end}, outside the range that was tested"
+        why = f"the threshold (at {model.share:.0%}) lies {end}: test comparisons beyond this value"
         return none(why, found)
     return Finding(answers, model, found)
 
@@ -171,8 +172,8 @@ def _chance_of_flat(fitted: Fit, share: float) -> float:
 def _guessing(answers: Answers, model: Model) -> float:
     """Return the share of successes of a participant who guesses.
 
-    If a success is a correct answer, the share is known. Else use the observed share, although the
-    test is then weaker: adaptive procedures keep the observed share nearly constant.
+    If a success is a correct answer, the share is known. Else the observed share is used. A test
+    against the observed share is weaker: adaptive procedures keep this share nearly constant.
     """
     if not isinstance(model.guess, str) and model.guess > 0:
         return model.guess
@@ -248,7 +249,7 @@ def _ends(bounds: Bounded | None) -> dict[str, float | None] | None:
     }
 
 
-_TICKS = (0.25, 0.33, 0.5, 0.67, 0.8, 1, 1.25, 1.5, 2, 3, 4)  # comparison / standard
+_TICKS = (0.25, 0.33, 0.5, 0.67, 0.8, 1, 1.25, 1.5, 2, 3, 4)  # comparison divided by standard
 Series = tuple[AnswerTable, Sequence[Finding]]  # answers of one file, and the findings from them
 
 
@@ -283,7 +284,7 @@ def discrimination_figure(series: Sequence[Series]) -> "Figure":
 
 def _draw_shares(axes: Any, finding: Finding, unit: float, color: str, label: str) -> None:
     """Draw shares of successes as dots sized by the number of answers, the fitted curve, and the
-    interval of the threshold. The abscissa is stimulus / unit."""
+    interval of the threshold. The abscissa is the stimulus divided by ``unit``."""
     stimulus, n, k = finding.counts
     size = 8 + 2 * np.minimum(n, 10)
     axes.scatter(stimulus / unit, k / n, size, color=[color], label=label, lw=0, zorder=3)
@@ -320,7 +321,7 @@ def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
     axes.set_xticks(standards, [f"{standard:g}" for standard in standards])
     axes.legend(frameon=False, fontsize=7, ncols=len(series))
     share = series[0][1][0].model.share
-    plain(axes, "", f"standard{_unit(series)}", f"{share:.0%} threshold, change / standard")
+    plain(axes, "", f"standard{_unit(series)}", f"Weber fraction at {share:.0%}")
 
 
 def _unit(series: Sequence[Series]) -> str:

@@ -19,7 +19,7 @@ SLOWEST_HZ, STEP_HZ = 10.0, 5.0  # lowest pulse rate (paper, III-B.1); change pe
 
 
 def raise_to_device_limits(profile: Profile) -> Profile:
-    """Return a copy of a profile with comfort levels at the device's limits (paper: 2.0 mA)."""
+    """Return a copy of a profile with comfort levels at the device's limits (in the paper 2 mA)."""
     return measuring_profile(profile, spare_ma=len(profile.electrodes) / 2000)
 
 

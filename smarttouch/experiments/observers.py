@@ -42,11 +42,11 @@ class Interval:
 Array = NDArray[np.float64]
 
 BASE_WEBER = 0.125
-"""Weber fraction at 75 % for pulses whose share of PC spikes is that of a vibration of the same
-frequency. Our choice: thresholds stay below the paper's 20 % up to 45 Hz (Section III-C)."""
+"""Weber fraction (75 % correct answers) if the perceived frequency is proportional to the pulse
+rate. Our choice: in RA mode, Weber fractions up to 45 Hz are then below 20 % (paper, III-C)."""
 RA_LIMIT_HZ = 65.0
-"""Highest frequency perceived without PC spikes. Our choice: in the paper PC takes over from RA
-between 60 and 70 Hz. On the fingertip RA and PC are equally sensitive at 40 Hz."""
+"""Highest frequency perceived without PC spikes. Our choice: the middle of the range from 60 to 70
+Hz, in which the paper's bands of RA and PC overlap."""
 SHARPNESS = 3.2
 """Exponent of the soft minimum in `perceived_hz`. Our choice: the Weber fraction at 75 Hz in RA
 mode becomes 0.68; the paper measured 0.7."""
@@ -54,7 +54,7 @@ mode becomes 0.68; the paper measured 0.7."""
 FITTED = (
     "the simulated participant's sense of frequency was fitted to the paper's RA mode "
     f"(limit {RA_LIMIT_HZ:g} Hz, Weber fraction {BASE_WEBER:.1%}, exponent {SHARPNESS:g}): "
-    "without PC spikes, its thresholds repeat the fit and are not a result"
+    "without PC spikes, the simulated thresholds repeat the fit and are not a result"
 )
 """Warning for frequency judgments of a simulated participant."""
 
@@ -66,7 +66,7 @@ SPREAD = math.log1p(BASE_WEBER) / float(math.sqrt(2) * ndtri(0.75))
 @cache
 def _learned() -> tuple[Array, Array]:
     """Return frequencies of vibration, Hz, and the ratio of PC to RA spikes at each."""
-    # Stop at the best frequency of PC. Above it the ratio falls, so it would not be unique.
+    # Stop at the best frequency of PC: above about 300 Hz the ratio falls, so ratios would repeat.
     hz = np.geomspace(RA_LIMIT_HZ, best_hz(Afferent.PC), 200)
     return hz, sensitivity(Afferent.PC, hz) / sensitivity(Afferent.RA, hz)
 
@@ -74,8 +74,8 @@ def _learned() -> tuple[Array, Array]:
 def believable_hz(ratio: float) -> float:
     """Return the highest frequency perceived at a ratio of PC to RA spikes, Hz.
 
-    A mechanical vibration of the returned frequency evokes this ratio, with each class relative to
-    its best frequency (paper, Fig. 2). Without PC spikes the result is `RA_LIMIT_HZ`.
+    A mechanical vibration of the returned frequency evokes this ratio: PC's sensitivity divided by
+    RA's sensitivity (paper, Fig. 2). Without PC spikes the result is `RA_LIMIT_HZ`.
     """
     hz, ratios = _learned()
     return float(np.interp(ratio, ratios, hz))
@@ -84,13 +84,13 @@ def believable_hz(ratio: float) -> float:
 def perceived_hz(hz: float, ratio: float) -> float:
     """Return the frequency, Hz, perceived for a train of pulses at ``hz``, without noise.
 
-    It is the soft minimum of ``hz`` and `believable_hz` of the ratio of PC to RA spikes.
+    The result is the soft minimum of ``hz`` and ``believable_hz(ratio)``; see `Response.ratio`.
     """
     limit_hz = believable_hz(ratio)
     return float((hz**-SHARPNESS + limit_hz**-SHARPNESS) ** (-1 / SHARPNESS))
 
 
-_LONGEST_US = 60_000  # longest simulated pause between slots: refractory periods are shorter
+_LONGEST_US = 60_000  # longest pause that is simulated; all refractory periods are shorter
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +113,8 @@ class Response:
 
     @property
     def hz(self) -> float:
-        """Spike rate, Hz, of the most active RA afferent, or PC afferent if no RA afferent fires
-        twice; 0 if none does."""
+        """Spike rate, Hz, of the most active RA afferent. If no RA afferent fires twice, the rate
+        of the most active PC afferent; if no PC afferent fires twice, 0."""
         for afferent in (Afferent.RA, Afferent.PC):
             class_counts = np.where(self.finger.classes == afferent, self.counts, 0)
             if class_counts.max(initial=0) > 1:
@@ -125,7 +125,7 @@ class Response:
 
     @property
     def ratio(self) -> float:
-        """Ratio of PC to RA spikes, each divided by the density of afferents of the class.
+        """Ratio of PC to RA spikes, with each count divided by the density of its class.
 
         Infinite if only PC fires.
         """
@@ -208,12 +208,12 @@ class SimulatedObserver:
 
     finger: Finger
     seed: int = 0
-    # Mean number of afferents firing in a slot that is felt in half of the trials. Our choice: one
-    # afferent in every second slot, as spikes of a single RA afferent can be felt (Vallbo et al.
-    # 1984).
+    # A train is felt in half of the trials if this mean number of afferents fires in a slot. Our
+    # choice: one afferent in every second slot, because a person can feel the spikes of a single RA
+    # afferent (Vallbo et al. 1984).
     felt_afferents: float = 0.5
     slope: float = 0.1  # standard deviation of the logarithm of `felt_afferents`
-    # guess: rate of *felt* without spikes; lapse: rate of answers at random
+    # guess: share of *felt* without spikes; lapse: share of answers at random
     guess: float = 0.02
     lapse: float = 0.02
     # standard deviation of a perceived position, mm
@@ -284,8 +284,8 @@ def make_observer(
 
 
 Starts = dict[int, tuple[int, int]]
-"""Start of each sequence of an interval, ns, and discharge after each of its slots, µs. The keys
-are the numbers of the sequences."""
+"""Timing of the sequences of an interval, by sequence number: start of the sequence, ns, and
+discharge after each slot of the sequence, µs."""
 
 
 def interval_of(pulses: Pulses, starts: Starts) -> Interval:

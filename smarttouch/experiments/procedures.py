@@ -128,7 +128,7 @@ def constant_stimuli(
 
 
 def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
-    """Yield the interval of the comparison: 1 or 2 in balanced random order, or always 0."""
+    """Yield the interval of the comparison, in balanced random order; 0 without two intervals."""
     random = np.random.default_rng([seed, 2])
     while True:
         block = [int(interval) for interval in random.permutation([1] * 4 + [2] * 4)][::-1]
@@ -136,10 +136,10 @@ def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
 
 
 _COARSE_FACTOR, _COARSE_REVERSALS = 2.0, 2
-"""Factor of coarse steps, and the number of reversals that ends them (our own choice)."""
+"""Steps are `_COARSE_FACTOR` times as large up to `_COARSE_REVERSALS` reversals (our choice)."""
 _REVERSALS = 14  # number of reversals that ends a staircase
 _PINNED_TRIALS = 4
-"""Number of answers in a row at one end of the range after which a staircase stops."""
+"""A staircase stops after this number of answers in a row at one end of the range."""
 
 
 def weighted_staircase(
@@ -202,9 +202,9 @@ def quest_plus(
     """Present the stimulus whose answer has the largest expected information, on a grid of
     threshold, slope and lapse rate (QUEST+, Watson, Journal of Vision 17(3):10, 2017).
 
-    The expected information is the entropy of the answer minus its expected entropy given the
-    parameters. It equals the expected decrease of the posterior's entropy, but is computed without
-    a posterior for each stimulus. A trial without an answer counts toward ``most_trials``.
+    The expected information is the expected decrease of the posterior's entropy. It equals the
+    entropy of the answer minus the mean entropy of the answer at known parameters. This difference
+    needs no posterior for each stimulus. A trial without an answer counts toward ``most_trials``.
     """
     low, high = math.log(lowest), math.log(highest)
     places = np.linspace(low, high, _STIMULI)

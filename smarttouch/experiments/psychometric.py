@@ -21,9 +21,9 @@ Array = NDArray[np.float64]
 Guess = float | Literal["equal", "free"]
 
 MOST_LAPSES = 0.1
-"""Largest lapse rate, the share of answers that do not depend on the stimulus (our own choice)."""
+"""Largest lapse rate (our own choice). Lapses are answers that do not depend on the stimulus."""
 MOST_GUESSES = 0.5
-"""Largest guess rate in a fit: the share of *felt* in trials without a stimulus."""
+"""Largest fitted guess rate. The guess rate is the share of *felt* in trials without a stimulus."""
 QUANTILES = (0.5, 0.025, 0.975)
 """Quantiles of the posterior: the estimate and the ends of its 95 % interval."""
 _MIDDLES, _SPREADS, _LAPSES, _GUESSES = 151, 21, 5, 6
@@ -71,9 +71,9 @@ class Model:
     # "equal": the lapse rate, for *which was higher* with comparisons on both sides of the
     # standard. "free": fitted, up to `MOST_GUESSES`, for *felt* with trials without a stimulus.
     guess: Guess = "equal"
-    # Share of successes that defines the threshold. Lapses are not counted, and neither are guesses
-    # if `guess` is "free". None: 0.75 if `guess` is "equal" (paper, Section III.C), else halfway
-    # between the guess rate and 1.
+    # Share of successes that defines the threshold. Lapses are not counted; if `guess` is "free",
+    # guesses are not counted. None: 0.75 if `guess` is "equal" (paper, Section III.C); 0.5 if
+    # `guess` is "free"; otherwise (1 + `guess`) / 2.
     at: float | None = None
     logarithmic: bool = True  # whether x is the logarithm of the stimulus
     most_lapses: float = MOST_LAPSES  # upper bound of the lapse rate
@@ -93,15 +93,14 @@ class Model:
 
     @property
     def level(self) -> float:
-        """Value of F at the threshold."""
+        """Value of the cumulative normal F at the threshold."""
         if isinstance(self.guess, str):
             return self.at or (0.75 if self.guess == "equal" else 0.5)
         return 0.5 if self.at is None else (self.at - self.guess) / (1 - self.guess)
 
     @property
     def share(self) -> float:
-        """Share of successes at the threshold. Lapses are not counted, and neither are guesses if
-        `guess` is "free"."""
+        """Share of successes at the threshold, see `at`."""
         if isinstance(self.guess, str):
             return self.level
         return self.guess + (1 - self.guess) * self.level
@@ -123,7 +122,7 @@ class Model:
         return np.asarray(np.exp(position) if self.logarithmic else position, np.float64)
 
     def place(self, part: float, parameters: Parameters) -> Array:
-        """Return the x at which F equals ``part``."""
+        """Return the x at which the cumulative normal F equals ``part``."""
         return np.asarray(parameters.middle + ndtri(part) * parameters.spread)
 
     def probability(self, x: Array, parameters: Parameters) -> Array:
@@ -159,7 +158,7 @@ class Fit:
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Posterior means, (1,) each. The middle is shifted so that the threshold is its median."""
+        """Posterior means, (1,) each. `middle` puts the threshold at its posterior median."""
         _, spread, lapse, guess = self.functions
         spread = np.exp([self.weights @ np.log(spread)])
         middle = self._quantiles(self.model.level)[0] - ndtri(self.model.level) * spread
@@ -167,7 +166,7 @@ class Fit:
         return Parameters(middle, spread, *others)
 
     def bounded(self, part: float) -> Bounded:
-        """Return the stimulus at which F equals ``part``, with its credible interval."""
+        """Return the stimulus at which the cumulative normal F equals ``part``, as `Bounded`."""
         value, low, high = self._quantiles(part)
         first, last = self.ends
         edge = (1 - _EDGE) * (last - first)
@@ -180,7 +179,7 @@ class Fit:
         return np.asarray(self.model.probability(self.model.axis(stimulus), self.parameters)[0])
 
     def _quantiles(self, part: float) -> Array:
-        """Return `QUANTILES` of the x at which F equals ``part``."""
+        """Return `QUANTILES` of the x at which the cumulative normal F equals ``part``."""
         position = self.model.place(part, self.functions)
         order = np.argsort(position)
         below = np.cumsum(self.weights[order]) - self.weights[order] / 2
@@ -191,7 +190,7 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
     """Fit psychometric functions to answers at two or more comparisons.
 
     The priors of the middle, the logarithm of the spread, the lapse rate and a free guess rate are
-    uniform. Middles extend beyond the outermost comparisons by the range of the comparisons.
+    uniform. The grid of middles extends beyond the comparisons on both sides, by their range.
     """
     x = model.axis(counts.stimulus)
     finite = model.axis([*counts.stimulus, standard or counts.stimulus[-1]])
@@ -200,7 +199,7 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
     span = (last - first) or 1.0
     middles = np.linspace(first - span, last + span, _MIDDLES)
     spreads = np.linspace(np.log(span * _NARROWEST), np.log(span * _WIDEST), _SPREADS)
-    for _ in range(2):  # the second, finer grid covers only where the first has weight
+    for _ in range(2):  # the second, finer grid covers only values with weight in the first
         functions = _grid(model, middles, np.exp(spreads))
         likely = log_likelihood(model.probability(x, functions), counts.n, counts.k)
         found = Fit(model, counts, (first, last), functions, likely)
@@ -211,14 +210,14 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
 
 
 def _refined(values: Array, weights: Array) -> Array:
-    """Return the same number of values, evenly spaced over the range that has weight."""
+    """Return evenly spaced values over the range that has weight, as many as ``values`` has."""
     some = np.flatnonzero(weights > _NEGLIGIBLE)
     low, high = values[max(some[0] - 1, 0)], values[min(some[-1] + 1, len(values) - 1)]
     return np.linspace(low, high, len(values))
 
 
 def _grid(model: Model, middles: Array, spreads: Array) -> Parameters:
-    """Return functions, (G,), for all combinations of parameters; the middle varies slowest."""
+    """Return functions, (G,), for all combinations of parameters; `middle` varies slowest."""
     lapses = np.linspace(0, model.most_lapses, _LAPSES)
     known = 0.0 if isinstance(model.guess, str) else model.guess
     guesses = np.linspace(0, MOST_GUESSES, _GUESSES) if model.guess == "free" else [known]

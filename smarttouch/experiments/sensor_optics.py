@@ -79,8 +79,8 @@ class OpticsFound:
     """Flat field of a sensor, and the unevenness of blank paper before and after correction."""
 
     field: FlatField
-    # uneven_before, uneven_after: standard deviation of blank paper over its mean. With two or more
-    # frames of each kind, `uneven_after` is measured on frames that were held out.
+    # uneven_before, uneven_after: gray levels of blank paper, standard deviation divided by mean.
+    # With two or more dark and white frames, `uneven_after` is measured on frames held out.
     uneven_before: float
     uneven_after: float
 
@@ -107,7 +107,7 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
 
 
 def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
-    """Return the unevenness of every second frame, corrected by a field of the other frames."""
+    """Return the unevenness of every second frame, corrected by a flat field from the others."""
     if min(len(dark), len(white)) > 1:
         field = FlatField.measure(dark[::2], white[::2])
         white = white[1::2]
@@ -125,15 +125,15 @@ Gray = NDArray[np.integer[Any] | np.floating[Any]]
 
 MARKERS = 3  # number of markers in each row and column of the target
 MODULES = 7 * MARKERS - 1  # squares across the target: 6 for each marker, 1 between two markers
-FIELD_SHARE = 1.5  # target side divided by field side, so that centering need not be exact
-FEWEST_PIXELS = 24  # fewest pixels on a side for which markers are recognized
-LEAST_CORRELATION = 0.8  # smallest allowed correlation of image and target; a flat one exceeds 0.9
+FIELD_SHARE = 1.5  # target side divided by side of the view; above 1 to allow for inexact centering
+FEWEST_PIXELS = 24  # fewest rows and columns of a sensor in which markers are recognized
+LEAST_CORRELATION = 0.8  # smallest allowed correlation with the target; a flat target exceeds 0.9
 MOST_OUTSIDE = 0.25  # largest allowed share of electrodes outside the image
 DOTS_PER_MM = 50  # resolution of the printed target
 _SIZES_MM = (1.0, 200.0)
 _MARGIN_MM = 8.0
 _WORKING_SIDE = 240  # shorter side of the image in which markers are detected, pixels
-_MODULE_PX, _QUIET = 12, 2  # width of a module in `picture`, pixels; white margin, modules
+_MODULE_PX, _QUIET = 12, 2  # of `picture`: width of a module, pixels; width of the margin, modules
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> 
 def _markers(working: Gray) -> tuple[Matrix, Matrix] | None:
     """Return the corners of detected markers, (N, 2), in modules and in pixels, or None."""
     parameters = cv2.aruco.DetectorParameters()
-    # The default is too small for modules of up to 15 pixels in an enlarged image.
+    # The default window is too small for modules of up to 15 pixels in an enlarged image.
     parameters.adaptiveThreshWinSizeMax = 53
     detector = cv2.aruco.ArucoDetector(_board().getDictionary(), parameters)
     corners, ids, _ = detector.detectMarkers(working)
@@ -288,7 +288,7 @@ def _markers(working: Gray) -> tuple[Matrix, Matrix] | None:
 def _aligned(working: Gray, modules: Matrix, pixels: Matrix) -> tuple[Matrix, float]:
     """Return the homography from pixels of `picture` to pixels of an image, and the correlation.
 
-    Blur shifts the corners of markers, so the corners only start the fit, which maximizes the
+    The corners of markers start the fit. Because blur shifts corners, the fit then maximizes the
     enhanced correlation coefficient of `picture` and image (Evangelidis and Psarakis 2008).
     """
     guess, _ = cv2.findHomography((modules + _QUIET) * _MODULE_PX - 0.5, pixels, 0)

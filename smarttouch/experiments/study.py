@@ -208,7 +208,7 @@ def run_study(
     study: Study,
     beside: Path,  # folder to which file names in the study are relative
     folder: Path,  # folder of the results; created if missing
-    # called with the number done and the total: `designing` for sites, `progress` for fingers
+    # called with the number done and the total: `designing` counts sites, `progress` fingers
     designing: Advance | None = None,
     progress: Advance | None = None,
 ) -> list[StudyRow]:
@@ -296,9 +296,9 @@ def _stored_rows(path: Path) -> list[StudyRow] | None:
 
 MEASURES = ("error", "silent_points", "wrong_class", "misplaced")
 TABLE_NOTE = (
-    "Medians over fingers (middle 90 %) of means over letters: shares of misread letters (errors), "
-    "points without a spike nearby (silent), spikes of other classes (wrong) and spikes away from "
-    "the letter (misplaced); total current of a slot (mA)."
+    "Shares of misread letters (errors), points without a spike nearby (silent), spikes of other "
+    "classes (wrong) and spikes away from the letter (misplaced). Shares are means over letters; "
+    "the table shows their median and middle 90 % over fingers. mA: mean total current of a slot."
 )
 _CHOSEN = ("profile", "mode", "scan", "intensity")
 
@@ -309,7 +309,7 @@ class Summed:
 
     anatomy: str
     label: str  # values of the combination that differ within the study
-    fingers: dict[str, list[float]]  # by measure: mean over letters, for each finger
+    fingers: dict[str, list[float]]  # by measure: one value for each finger, the mean over letters
     total_ma: float  # mean total current of a slot
 
     def interval(self, measure: str) -> tuple[float, float, float]:

@@ -29,18 +29,18 @@ from smarttouch.stimulation.safety_limits import LONGEST_RAMP_S
 RISE_S = 6.0  # rise time of the first run from zero to the expected threshold
 REACTION_S = 0.35  # reaction time: the threshold is the current at this time before the key
 PAUSE_S = (1.0, 2.0)
-"""Range of the random pause at zero before a run, s: time must not reveal the current."""
+"""Range of the random pause before a run, s. After a fixed pause, time would reveal the current."""
 START_SHARE = (0.4, 0.7)  # later runs rise fast to a random share of the lowest threshold so far
 LEAP = 10  # factor by which the current rises faster below `START_SHARE`
-CEILING_S = 1.0  # time at the largest current after which a run ends
+CEILING_S = 1.0  # a run ends after this time at the largest current
 MOST_APART = 1.4  # ratio of largest to smallest threshold above which more runs follow
 EXTRA_RUNS = 2
 HURRIED_S = 0.8
-"""A second key within this time, s, after the first is a held key or pain: the run is hurried."""
+"""A run is hurried if its two keys are closer than this, s: a key was held, or current hurt."""
 MOST_HURRIED = 2  # largest number of hurried runs that are repeated
 LEAST_RATIO = 1.05  # smallest usable ratio of comfort level to threshold
 STOP_KEYS = ("q", "Q", "\x1b", "\x03", "\x04", "")
-"""Keys that end the measurement at once; the empty key means that the terminal is gone."""
+"""Keys that end the measurement at once. An empty key means that the terminal was closed."""
 _SLOWER = 0.98  # largest slope of the current, relative to the ramp of the profile
 _REACTION, _HURRIED, _CEILING = (
     round(each / STEP_S) for each in (REACTION_S, HURRIED_S, CEILING_S)
@@ -62,7 +62,7 @@ def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
     electrode_ma = limits.electrode_ma or (most_ma,) * len(profile.electrodes)
     ceilings_ma = [_whole_ua(min(most_ma, limit_ma)) for limit_ma in electrode_ma]
     perception = profile.perception.model_dump() | {"comfort_ma": ceilings_ma}
-    # Lower ceilings of single electrodes must not shorten the ramp.
+    # A higher ceiling needs a longer ramp at the same mA/s. A lower ceiling keeps the ramp.
     ramp_s = min(LONGEST_RAMP_S, limits.ramp_s * max(1.0, max(ceilings_ma) / full_ma))
     return Profile.model_validate({
         **profile.model_dump(), "perception": perception,
@@ -82,7 +82,7 @@ class Thresholds:
     # current. Runs that never became too strong count with the largest current as comfort level.
     threshold_ma: float
     comfort_ma: float
-    spread: float  # robust standard deviation of the runs' thresholds over their median
+    spread: float  # robust standard deviation of the runs' thresholds, divided by their median
     runs: int
     false_presses: int  # number of keys pressed before current could be felt
 
@@ -197,8 +197,8 @@ _RESULTS = tuple(each.name for each in fields(Thresholds))
 class Progress(AnswerFile):
     """File with the results of an interrupted threshold session, next to the profile to be written.
 
-    Each result is on disk before `keep` returns. A file with other settings, ``about``, is refused.
-    An open file is locked against other sessions. Closing removes a file without results.
+    Each result is on disk before `keep` returns. A file whose settings differ from ``about`` is
+    refused. An open file is locked against other sessions. Closing removes a file without results.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Value]) -> None:
@@ -240,7 +240,7 @@ class Progress(AnswerFile):
 
 def threshold_trials(
     profile: Profile,  # profile to measure with
-    board: Board,  # must be open before the first trial; its largest current is a limit, too
+    board: Board,  # must be open before the first trial; also limits the current
     sites: Sequence[int],
     progress: Progress,  # stores each result; electrodes with a stored result are skipped
     say: Callable[[str], None],  # shows a line of text
@@ -277,8 +277,8 @@ def threshold_trials(
 
 Found = Mapping[int, Thresholds]
 Keys = Callable[[Callable[[str], None]], AbstractContextManager[None]]
-"""Function that returns a context manager in which each pressed key is passed to the argument. An
-empty key means that the terminal is gone."""
+"""Function whose argument receives each pressed key while the returned context manager is open. An
+empty key means that the terminal was closed."""
 
 
 def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
@@ -332,7 +332,7 @@ class ThresholdProcedure:
     seed: int = 0
 
     def progress(self) -> Progress:
-        """Open the file of results, which may hold those of an interrupted session."""
+        """Open the file of results, which may contain results of an interrupted session."""
         profile = self.file.profile
         return Progress(
             self.file.beside("thresholds.csv"),

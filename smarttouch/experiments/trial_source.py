@@ -20,10 +20,10 @@ from smarttouch.stimulation.scheduler import rate_share
 
 PAUSE_S = 0.5  # shortest time between an answer and the next trial
 PATIENCE_S = 10.0  # longest wait for the current of a trial, with a simulated participant
-MOST_SPOILED = 10  # number of times that one trial is repeated after a loss of current
+MOST_SPOILED = 10  # largest number of times that a trial is repeated after a loss of current
 _SPOILED = 0.5
-"""Share of the requested intensity below which current counts as lost. A single key press changes
-intensity by less. Trials with exact currents use `STEADY` instead."""
+"""The current counts as lost below this share of the requested intensity. A key press alone is
+not such a loss. Trials with exact currents use `STEADY` instead."""
 _NUMBERS = ("first", "second")
 
 
@@ -79,7 +79,7 @@ class TrialSource(Program):
             )
 
     def read(self, time_ns: int) -> Input | None:
-        """Return the stimulus to send. Below softness 1 its rate follows the finger's force."""
+        """Return the stimulus to send. Below softness 1 the pulse rate follows the force."""
         stimulus = super().read(time_ns)
         if isinstance(stimulus, Stimulus) and stimulus.period_us is not None and self._softness < 1:
             share = rate_share(self.gate, self._softness)
@@ -155,7 +155,7 @@ class TrialSource(Program):
         return self._ask(trial) if self._observer is None else self._decided(trial, felt)
 
     def _open(self, raise_level: Callable[[], float]) -> None:
-        """Raise the level and pause, until ``raise_level`` returns 0, the time that it needed."""
+        """Raise the level and pause until ``raise_level`` returns 0: the level is reached."""
         try:
             while raise_level():
                 self._say("")
@@ -178,14 +178,14 @@ class TrialSource(Program):
             self._softness = 1.0
 
     def _attempt_course(self, trial: Trial) -> Answer:
-        """Present a current that starts at zero and follows the keys, no faster than the ramp."""
+        """Present the current that `Trial.course` yields; it rises no faster than the ramp."""
         course, (train,) = trial.course, trial.intervals
         assert course is not None
         if self._observer is not None:
             raise ExperimentError(
                 "a simulated participant cannot control a current: leave out --simulate"
             )
-        # The course raises the current itself, so wait only for force and intensity.
+        # `Trial.course` raises the current, so wait only for force and intensity.
         self._open(self._wait_for_force)
         full_ma = float(self._profile.full_ma[train.activation.any(axis=0)].min())
         level, before_ns, due_ns = 0.0, 0, round(STEP_S * 1e9)
@@ -209,7 +209,7 @@ class TrialSource(Program):
                     self._pressed.popleft()
             if self._wanted is None:
                 return None
-            # From zero the ramp begins at `FIRST_NS`, as in the safety gate.
+            # As in the safety gate, the first step from zero counts as `FIRST_NS` of the ramp.
             risen_ns = min(since_ns - before_ns, MOST_STEP_NS) if level else FIRST_NS
             most_level = level + risen_ns / 1e9 / self._profile.limits.ramp_s
             level, before_ns = min(1.0, self._wanted / full_ma, most_level), since_ns
@@ -227,7 +227,7 @@ class TrialSource(Program):
         return replace(answer, reached=shown.current_ma, found=found)
 
     def _wait_for_force(self) -> float:
-        """Wait until force and intensity are sufficient; return 0, as `_open` expects."""
+        """Wait until force and intensity suffice. Return 0, so that `_open` ends."""
 
         def is_ready() -> bool:
             ready = self.gate * self.user_level >= STEADY

@@ -54,9 +54,9 @@ class Train:
 
 
 Course = Generator[float, bool | None, Any]
-"""Generator of the current of one electrode, controlled by keys. Yields the current, mA, for each
-`STEP_S`. Receives whether a key was pressed, or None if the current was lost and rises from
-zero again. Returns the response or another result."""
+"""Generator that sets the current of one electrode from key presses. Yields the current, mA, for
+each `STEP_S`. Receives whether a key was pressed, or None if the current was lost and rises from
+zero again. Returns the response as text, or another result for `Answer.found`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +72,8 @@ class Trial:
     answers: Mapping[str, str] = field(default_factory=lambda: YES_OR_NO)  # response by key
     success: str = "y"  # response that counts as a success
     target: str = ""  # correct response; empty if there is none
-    exact: bool = False  # whether force and the user's intensity must not lower the current
-    course: Course | None = None  # controls the current of a single train; any key answers
+    exact: bool = False  # whether a current lowered by force or the user's intensity counts as lost
+    course: Course | None = None  # sets the current of a single interval; any key is then an answer
 
     @property
     def alternatives(self) -> tuple[str, ...]:
@@ -99,8 +99,8 @@ class Answer:
     rt_s: float | None = None  # reaction time from the end of the last interval
     time_s: float = 0.0  # time in the run
     level: float = 1.0  # intensity chosen by the user, 0 to 1
-    reached: float | None = None  # current at the answer, mA; None without a course
-    found: Any = None  # result of the trial's course
+    reached: float | None = None  # current at the answer, mA; None without `Trial.course`
+    found: Any = None  # return value of `Trial.course`
 
 
 Trials = Generator[Trial, Answer, None]

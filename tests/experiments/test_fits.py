@@ -125,7 +125,7 @@ NO_THRESHOLD = {
     "few trials": (
         session(lambda each, n: each.comparison > 30, repetitions=1), ["too few", 10, 15]
     ),
-    "one comparison": (of_counts([3], [40], [17]), ["all were at", 42, 40, 3]),
+    "one comparison": (of_counts([3], [40], [17]), ["several comparisons", 42, 40, 3]),
 }  # fmt: skip
 
 

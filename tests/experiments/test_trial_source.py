@@ -276,7 +276,7 @@ def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, prese
     levels = []
 
     def press(source, _):
-        if source.title.endswith("it is enough"):
+        if source.title.endswith("strong enough"):
             levels.append(source.title)
             if len(levels) == 20:
                 source.keys["\n"]()
@@ -389,4 +389,4 @@ def test_a_level_that_rose_is_kept_as_it_was_reached(tmp_path):
     found = [(row["comparison"], row["success"]) for row in read_rows(path)]
     assert found == [(2.5, True), (3.5, True)]
     assert after[0] == "2 of 2 trials (1 in earlier runs)"
-    assert after[1].startswith("enough at 3.000 mA")
+    assert after[1].startswith("strong enough at 3.000 mA")
