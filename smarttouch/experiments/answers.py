@@ -187,8 +187,8 @@ class AnswerFile(Closing):
     """CSV file to which rows are appended; each row is on disk before `append` returns.
 
     ``about`` holds the values that are equal in all rows. An existing file is continued in its
-    dialect if its rows agree with ``about``; an incomplete last line is removed, nothing else. An
-    open file is locked against other runs.
+    dialect if its rows agree with ``about``. An incomplete last line is removed; other lines do not
+    change. An open file is locked against other runs.
     """
 
     def __init__(

@@ -40,9 +40,9 @@ class ProfileFile:
     """Copy of a profile in which a calibration sets keys, to be written to a ``.toml`` file.
 
     ``start`` names a shipped profile or a file. Its other keys and its comments are kept. With
-    ``overwrite`` an existing output is replaced; with ``update`` the output is also the start, and
-    is edited. Raises ProfileError if the start is not a profile, and CalibrationError if the output
-    cannot be written.
+    ``overwrite`` an existing output is replaced. With ``update`` the output, which is also
+    ``start``, is edited. Raises ProfileError if the start is not a profile, and CalibrationError if
+    the output cannot be written.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class ProfileFile:
 
 def file_to_calibrate(
     part: str,  # name of the calibration
-    # initial profile; an existing output must not differ from it, except by calibrations
+    # initial profile; an existing output may differ from this profile only by calibrations
     start: str | None,
     fallback: str,  # initial profile if `start` is None
     output: Path,
@@ -176,7 +176,7 @@ MOST_BROKEN = 0.5
 MOST_RESTLESS = 0.5
 """Largest allowed relative spread of repeated impedances (median over the electrodes). A larger
 spread means that the finger moved."""
-MOST_LOSSES = 3  # number of times that a measurement reopens a lost board
+MOST_LOSSES = 3  # largest number of times that a measurement reopens a lost board
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,5 @@
-"""Experiments of the package, by name, and of users, by file. An error in a user's file becomes an
-ExperimentError that names the line."""
+"""Catalog of the package's experiments, and loading of users' experiments from files. An error in a
+user's file becomes an ExperimentError that names the line."""
 
 import math
 import runpy
@@ -73,7 +73,7 @@ def frequency(setup: Setup) -> Trials:
     if is_pc:
         setup.notes.append(
             f"PC is stimulated by the PC kernel of {setup.profile.name or 'this profile'}, because "
-            "the paper does not state the size of its large electrode (Fig. 17)"
+            "the paper does not state the size of the large electrode (Fig. 17)"
         )
 
     def trial(condition: Condition) -> Trial:

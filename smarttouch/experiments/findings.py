@@ -21,7 +21,7 @@ MOST_UNANSWERED = 0.5
 SAME_INTERVAL = 0.95
 """Largest allowed share of answers for one interval. Above it answers ignore the stimulus."""
 FLAT = 0.02  # significance level of the test for a dependence on the comparison
-_FALLING = -2.58  # a trend is falling if its z score is lower; by chance in 1 of 200 sessions
+_FALLING = -2.58  # z score below which a trend is falling; by chance in 1 of 200 sessions
 _CURVE_POINTS = 301
 _BOUNDED = ("threshold", "weber", "middle", "lower", "lower_weber")
 

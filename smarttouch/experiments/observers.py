@@ -90,7 +90,7 @@ def perceived_hz(hz: float, ratio: float) -> float:
     return float((hz**-SHARPNESS + limit_hz**-SHARPNESS) ** (-1 / SHARPNESS))
 
 
-_LONGEST_US = 60_000  # longest pause that is simulated; all refractory periods are shorter
+_LONGEST_US = 60_000  # longest simulated pause between slots; usual refractory periods are shorter
 
 
 @dataclass(frozen=True, eq=False)

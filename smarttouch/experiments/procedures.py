@@ -89,7 +89,7 @@ def constant_stimuli(
     # (standard, comparison); the standard is 0 if there is none
     pairs: Sequence[tuple[float, float]],
     repetitions: int = REPETITIONS,  # trials of each pair
-    two_intervals: bool = True,  # whether the standard is presented as well
+    two_intervals: bool = True,  # whether a second interval presents the standard
     seed: int = 0,  # seed of the random orders
 ) -> Procedure:
     """Present each pair a fixed number of times, in a new random order for each repetition.
@@ -151,7 +151,7 @@ def weighted_staircase(
     standard: float = 0.0,  # standard; 0 if there is none
     target: float = 0.75,  # share of successes at which the staircase converges
     most_trials: int = 80,
-    two_intervals: bool = True,  # whether the standard is presented as well
+    two_intervals: bool = True,  # whether a second interval presents the standard
     seed: int = 0,  # seed of the order of intervals
 ) -> Procedure:
     """Lower the comparison after a success, and raise it after a failure.
@@ -185,8 +185,8 @@ def weighted_staircase(
 
 _STIMULI, _THRESHOLDS, _SLOPES = 41, 61, 9
 _LAPSES = (0.0, 0.02, 0.05, 0.1)
-"""Lapse rates of the grid, with a uniform prior (our own choice)."""
-_NARROWEST, _WIDEST = 1 / 40, 1.0  # spreads of the grid, relative to the range of stimuli
+"""Lapse rates on the grid, with equal prior probabilities (our own choice)."""
+_NARROWEST, _WIDEST = 1 / 40, 1.0  # smallest and largest spread, relative to the range of stimuli
 
 
 def quest_plus(
@@ -196,7 +196,7 @@ def quest_plus(
     guess: float = 0.5,  # share of successes by guessing
     standard: float = 0.0,  # standard; 0 if there is none
     most_trials: int = 60,
-    two_intervals: bool = True,  # whether the standard is presented as well
+    two_intervals: bool = True,  # whether a second interval presents the standard
     seed: int = 0,  # seed of the order of intervals
 ) -> Procedure:
     """Present the stimulus whose answer has the largest expected information, on a grid of

@@ -31,8 +31,8 @@ _NARROWEST, _WIDEST = 1 / 40, 1.0
 """Smallest and largest spread of the grid, relative to the range of comparisons. Our own choice:
 the 95 % intervals then contain the threshold of 92 to 98 % of simulated subjects."""
 _EDGE = 0.05
-"""Margin at the edge of the grid, relative to the range of comparisons. An end of an interval in
-this margin counts as undetermined."""
+"""Margin at the edge of the grid, relative to the range of comparisons. If a credible interval
+ends in this margin, the end counts as undetermined."""
 _NEGLIGIBLE = 1e-7  # posterior weight below which the finer grid leaves a value out
 
 

@@ -107,7 +107,7 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
 
 
 def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
-    """Return the unevenness of every second frame, corrected by a flat field from the others."""
+    """Return the unevenness of every second frame, corrected by the flat field of other frames."""
     if min(len(dark), len(white)) > 1:
         field = FlatField.measure(dark[::2], white[::2])
         white = white[1::2]

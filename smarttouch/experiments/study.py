@@ -267,7 +267,7 @@ def _key(digest: str | None, profile: Profile, anatomy: Anatomy, name: str, seed
 def _run_parallel(
     work: Sequence[Callable[[], list[StudyRow]]],
 ) -> Generator[tuple[int, list[StudyRow]], None, None]:
-    """Run tasks in parallel, and yield the index and the rows of each when it is done."""
+    """Run tasks in parallel. Yield the index and the rows of each task when it is done."""
     many = Parallel(n_jobs=-1, return_as="generator_unordered", max_nbytes=None)
     results = many(delayed(_numbered)(index, task) for index, task in enumerate(work))
     try:

@@ -36,7 +36,7 @@ CEILING_S = 1.0  # a run ends after this time at the largest current
 MOST_APART = 1.4  # ratio of largest to smallest threshold above which more runs follow
 EXTRA_RUNS = 2
 HURRIED_S = 0.8
-"""A run is hurried if its two keys are closer than this, s: a key was held, or current hurt."""
+"""A run is hurried if its two keys are closer than this, s: a key was held or the current hurt."""
 MOST_HURRIED = 2  # largest number of hurried runs that are repeated
 LEAST_RATIO = 1.05  # smallest usable ratio of comfort level to threshold
 STOP_KEYS = ("q", "Q", "\x1b", "\x03", "\x04", "")
@@ -172,7 +172,7 @@ class AscendingLimits:
             if pressed:
                 threshold_ma, felt_at = levels[-1 - _REACTION], steps
             elif steps > _CEILING and levels[-1 - _CEILING] >= self.ceiling_ma:
-                # Levels never fall, so the current has been at the ceiling for `CEILING_S`.
+                # The current never falls, so it has been at the ceiling for `CEILING_S`.
                 return threshold_ma, self.ceiling_ma if felt_at else math.nan
 
     def _is_hurried(self, steps: int, felt_at: int) -> bool:
