@@ -20,9 +20,9 @@ MOST_PIXELS = 100_000_000  # largest number of pixels of a page
 _MIXES = np.vstack([(0.299, 0.587, 0.114), np.eye(3)[[1, 0, 2]], (1 - np.eye(3)) / 2])
 """Weights of red, green and blue to choose from: luma (ITU-R BT.601), one channel, mean of two."""
 _AROUND = np.ones((5, 5), np.uint8)  # neighborhood of a pixel for the detection of edges
-_EDGE_LEVELS, _FEWEST_EDGES = 40, 50
-"""Smallest difference of gray levels at an edge, and smallest number of edges to choose weights."""
-_PRINT_SHARE = 0.1  # share of edge pixels, relative to the outline, above which a picture has print
+_EDGE_LEVELS = 40  # smallest difference of gray levels that counts as an edge
+_FEWEST_EDGES = 50  # smallest number of edge pixels from which color weights are chosen
+_PRINT_SHARE = 0.1  # number of edge pixels per outline pixel above which an image contains print
 _NO_PAGE = 1 | 4  # bits of thumbnails and masks in the NewSubfileType of a TIFF
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
 """Exceptions of Pillow for damaged files."""
@@ -76,20 +76,20 @@ class GreyConverter:
 
 
 def _ground(grey: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> tuple[int, int | None]:
-    """Return the background level for a transparent image. Also return the level of the print if
-    the outline of the visible part is the print, or None if print lies within this part."""
+    """Return the levels of background and print for a transparent image. If the visible pixels
+    contain paper and print, the level of print is None. Otherwise all visible pixels are print."""
     visible = np.asarray(alpha >= max(1, int(alpha.max()) // 2), np.uint8)
     inner = cv2.erode(visible, _AROUND) > 0
     edges = cv2.morphologyEx(grey, cv2.MORPH_GRADIENT, _AROUND)[inner] >= _EDGE_LEVELS
     if edges.sum() > _PRINT_SHARE * (visible.sum() - inner.sum()):
-        # The image contains print: extend the paper of the image, white or black, around it.
+        # Visible pixels contain paper and print: choose the level of the paper, white or black.
         return (255, None) if np.median(grey[inner]) >= 128 else (0, None)
     return (0, 255) if alpha.mean() >= 128 else (255, 0)
 
 
 def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
-    """Return the index of the weights that preserve edges of a colored image best: half of the best
-    contrast is sufficient. Return ``present`` if these weights are nearly as good."""
+    """Return the index of the weights that preserve edges best. An edge counts fully if it keeps
+    half of its largest contrast. Return ``present`` if its weights are nearly as good."""
     mixed = cv2.transform(colors[:: 1 + len(colors) // 400], _MIXES)
     edges = cv2.morphologyEx(mixed, cv2.MORPH_GRADIENT, _AROUND)
     edges = edges[edges.max(axis=2) >= _EDGE_LEVELS].astype(np.float32)
@@ -100,8 +100,8 @@ def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
 
 
 def _white_level(values: Pixels, black: float = 0.0) -> np.float64:
-    """Estimate the level of white: the largest number with as many bits as the levels need (at
-    least 8 bits for integers above 1), or the range of the levels if some are negative."""
+    """Estimate the level of white: the largest number with as many bits as the largest level (for
+    integers above 1, at least 8 bits). If levels are negative, return the range of the levels."""
     peak = float(values.max()) - black
     least = 1 if values.dtype.kind == "f" or peak <= 1 else 255
     return np.float64(peak if black < 0 < peak else max(least, 2 ** int(peak).bit_length() - 1))
@@ -119,8 +119,8 @@ def open_image(path: Path) -> Iterator[Image.Image]:
         with warnings.catch_warnings():
             # Ignore warnings: sizes are checked later, and damage raises errors or is harmless.
             warnings.filterwarnings("ignore", module=r"PIL\.")
-            # Open the file here: with a path, Pillow 13 maps it to memory and reads rotated TIFFs
-            # wrongly.
+            # Open the file here: if Pillow 13 opens a file itself, it maps the file to memory and
+            # then reads rotated TIFFs wrongly.
             with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file, Image.open(file) as image:
                 yield image
     except UnidentifiedImageError:
@@ -160,5 +160,5 @@ def read_pixels(image: Image.Image) -> Pixels:
     data, flags = np.fromfile(file.name, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
     is_read, pages = cv2.imdecodemulti(data, flags, None, (frame, frame + 1))
     if not is_read:
-        raise ValueError("its pixels are damaged")
+        raise ValueError("the pixels are damaged")
     return np.dstack([pages[0][..., ::-1], pixels[..., 3:]])

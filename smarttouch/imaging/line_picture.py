@@ -13,7 +13,7 @@ Floats = NDArray[np.float32]
 
 
 class Raster:
-    """Sum, or maximum if ``strongest``, of the values at each pixel; values outside are dropped."""
+    """Image that adds up the values at each pixel, or keeps the largest one if ``strongest``."""
 
     def __init__(self, shape: tuple[int, int], strongest: bool = False) -> None:
         self.value: Floats = np.zeros(shape, np.float32)
@@ -21,15 +21,15 @@ class Raster:
         self._put = np.maximum.at if strongest else np.add.at
 
     def add(self, row: NDArray[np.intp], column: NDArray[np.intp], values: Floats) -> None:
-        """Add values at pixels, each (N,)."""
+        """Add N values at the pixels (row, column); ignore pixels outside of the image."""
         rows, columns = self.value.shape
         on = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         self._put(self.value, (row[on], column[on]), values[on])
         np.add.at(self.count, (row[on], column[on]), 1)
 
     def mean(self, spread: Callable[[Floats], Floats]) -> Floats:
-        """Return the mean at each pixel, after blurring sum and count with ``spread``; 0 without
-        values."""
+        """Blur the sums and the numbers of values with ``spread``, and return the mean at each
+        pixel. Pixels without values are 0."""
         total, count = spread(self.value), spread(self.count)
         return np.divide(total, count, out=np.zeros_like(total), where=count > 1e-6)
 
@@ -41,12 +41,12 @@ def as_ink(values: Floats) -> NDArray[np.uint8]:
 
 PIXELS_PER_PITCH = 4
 _BLUR_X, _BLUR_Y = 0.4, 0.55
-"""Standard deviations of the blur, in cells. They just fill the gaps between rows of electrodes,
-according to tests with printed lines."""
+"""Standard deviations of the blur, in cells: the smallest that filled the gaps between rows of
+electrodes in tests with printed lines."""
 
 
 class LinePicture:
-    """Mean of the electrodes' values at each place that they passed along a line of print."""
+    """Picture of a line of print: the mean of the values that electrodes had at each place."""
 
     def __init__(self, electrodes: ElectrodeArray, length_mm: float) -> None:
         self._pixel_mm = min(electrodes.cell_mm) / PIXELS_PER_PITCH

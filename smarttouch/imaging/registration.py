@@ -13,12 +13,12 @@ from smarttouch.profile import Optics
 from smarttouch.profile.electrodes import ElectrodeArray
 
 PIXELS_PER_CELL = 8
-"""Number of pixels across the cell of an electrode to which finer frames are reduced."""
-_SAMPLES = 6  # samples per pixel and axis for the overlap of cell and pixel
+"""Number of pixels across an electrode's cell. Finer frames are reduced to this resolution."""
+_SAMPLES = 6  # points along each side of a pixel, to compute which share of the pixel a cell covers
 
 
 class Apertures(NamedTuple):
-    """Pixels under each electrode, at most P, and their weights."""
+    """Indexes and weights of the pixels under each electrode. An electrode has at most P pixels."""
 
     pixel: NDArray[np.intp]  # (P, E)
     share: NDArray[np.float32]  # (P, E) weight of each pixel in the mean, divided by 255
@@ -60,19 +60,18 @@ class Registration:
 
 
 def _reduced_side(side: int, wanted: float) -> int:
-    """Return ``side`` divided by the largest integer such that the result is at least ``wanted``.
-    OpenCV reduces images faster by integer factors."""
+    """Return the smallest side, at least ``wanted``, that is ``side`` divided by an integer. OpenCV
+    reduces images faster by integer factors."""
     # Without a tolerance for rounding errors, the factor could be too small by one.
     largest = math.floor(side / wanted * (1 + 1e-9))
     return side // next(factor for factor in range(max(1, largest), 0, -1) if side % factor == 0)
 
 
 def _averages(shape: tuple[int, int], to: tuple[int, int]) -> list[tuple[tuple[int, int], int]]:
-    """Return the shapes of the steps that reduce one shape to another, with OpenCV's method for
-    each.
+    """Return the shape and OpenCV's method of each step that reduces an image to a shape.
 
-    Halving is ten times faster than other factors, so it comes first: linear interpolation between
-    two pixels is their mean.
+    Steps by a factor of 2 come first, because they are ten times faster than other factors. For the
+    factor 2, linear interpolation returns the mean of the pixels.
     """
     averages = []
     down, across = shape[0] // to[0], shape[1] // to[1]
@@ -110,7 +109,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
     nth = np.arange(len(pixel_index)) - (counts.cumsum() - counts)[electrode]
     pixels = np.zeros((counts.max(initial=0), len(electrodes)), np.intp)
     shares = np.zeros(pixels.shape, np.float32)
-    # The cumulative sum has the weights of 1, 2, … samples, in single precision.
+    # `weights.cumsum()[n - 1]` is the weight of a pixel with n samples.
     weights = np.full(samples.max(initial=1), 1 / (255 * across * down), np.float32)
     pixels[nth, electrode], shares[nth, electrode] = pixel, weights.cumsum()[samples - 1]
     return Apertures(pixels, shares)
@@ -119,7 +118,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
 def on_frame(
     x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], optics: Optics
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Convert places on the page to shares of a frame's sides; NaN behind a tilted camera."""
+    """Convert places on the page to fractions of frame width and height; NaN behind the camera."""
     if optics.homography is None:
         turn = math.radians(optics.rotation_deg)
         cos, sin = math.cos(turn), math.sin(turn)
@@ -128,7 +127,7 @@ def on_frame(
         return across / optics.field_width_mm + 0.5, down / optics.field_height_mm + 0.5
     a, b, c, d, e, f, g, h, one = optics.homography
     before = g * x_mm + h * y_mm + one
-    # The middle of the array is in front of the camera; places with the other sign are behind it.
+    # `before` is `one` at the array's middle, and has the opposite sign behind the camera.
     before = np.where(before * np.sign(one) > 1e-9, before, np.nan)
     column, row = (a * x_mm + b * y_mm + c) / before, (d * x_mm + e * y_mm + f) / before
     return (column + 0.5) / optics.sensor_columns, (row + 0.5) / optics.sensor_rows
@@ -154,7 +153,7 @@ def _field_mm(
     if not ((chosen > 0) & (chosen * min(electrodes.cell_mm) <= optics.magnification)).all():
         raise ProfileError(
             "optics.homography puts an electrode outside of the camera's view, or the view is "
-            "smaller than one electrode: calibrate the registration again, or remove the key",
+            "smaller than one electrode: calibrate the registration again, or remove this key",
             key="optics.homography",
         )
     width_mm, height_mm = (1 / chosen).tolist()

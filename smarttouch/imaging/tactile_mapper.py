@@ -14,11 +14,12 @@ from smarttouch.imaging.registration import Registration
 from smarttouch.profile import Profile
 
 LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper
-LEAST_GRAINS, PALE = 4.0, 0.3
-"""Smallest contrast of print relative to the paper's grain; and contrast, relative to white paper,
-above which grain is ignored."""
-BLURRED = 0.3  # contrast above which blurred print is ink, at most 0.6 of the largest contrast
-GREY_GUARD = 0.41  # share of pixels between paper and ink above which a frame is noise
+LEAST_GRAINS = 4.0  # smallest contrast of print, in multiples of the contrast of the paper's grain
+PALE = 0.3  # contrast, relative to white paper, from which print is accepted despite grain
+BLURRED = 0.3
+"""Smallest contrast of ink, relative to white paper. In a frame with low contrast, 0.6 of the
+largest contrast is enough."""
+GREY_GUARD = 0.41  # largest share of pixels between paper and ink; frames with more are noise
 BLACK = 0.2  # level, relative to white, below which wide areas are print, not a dark desk
 WHITE_DECAY_PER_S = 0.3  # decay rate of the white level, so slow that black headlines stay black
 _CLASSES, _ROWS = len(Afferent), {mode: mode.afferents[0] for mode in Mode}
@@ -28,11 +29,10 @@ _SAMPLES = 32  # rows and columns of the sample from which levels are estimated
 class Binarizer:
     """Binarizer, which separates ink from paper in successive frames of one shape.
 
-    The threshold is halfway between paper and ink, or darker in a blurred frame. The paper level is
-    the frame after removal of dark spots narrower than half the frame, so that wide shadows and a
-    dark desk are not ink. Wider areas are ink only if they are black compared with the white level.
-    A frame has no ink if its contrast is low, or if many pixels lie between paper and ink, as in
-    noise.
+    Dark spots are ink if they are narrower than half the frame. Wider dark areas are shadows or a
+    desk: they count as paper, unless they are black compared with white paper. The threshold is
+    halfway between the levels of paper and ink, or darker in a blurred frame. A frame has no ink if
+    its contrast is low, or if many pixels are between paper and ink, as in noise.
     """
 
     def __init__(self, shape: tuple[int, int], light_on_dark: bool = False) -> None:
@@ -46,7 +46,7 @@ class Binarizer:
     def ink(self, image: NDArray[np.uint8], time_ns: int, touching: bool) -> NDArray[np.uint8]:
         """Return a mask, (H, W) uint8, 255 for ink.
 
-        While the finger is lifted, earlier frames have no effect on the white level.
+        If not ``touching``, the white level is estimated from this frame alone.
         """
         image = ~image if self._light_on_dark else image
         sample = np.ascontiguousarray(cv2.blur(image, (3, 3))[self._sample])
@@ -72,17 +72,17 @@ ADAPTATION_S = 0.04
 """Time constant of adaptation to constant ink. Our choice: longer than the period of RA pulses, but
 short enough that a stroke at reading speed does not smear over the next letter."""
 LEAVING = 0.4
-"""Drive of RA by leaving ink, relative to arriving ink: RA responds less to the end of a touch. At
-full strength, the previous stroke would be felt beside the present stroke."""
+"""Activation of RA by ink that leaves, relative to ink that arrives: RA responds less to the end of
+a touch. With the value 1, the previous stroke would be felt beside the present stroke."""
 FAINTEST_CHANGE = 0.15  # smallest change of ink that exceeds sensor noise
 
 
 class NaturalDrive:
     """Filter that splits ink into changes, for RA, and a sustained part, for SAI.
 
-    A low-pass filter follows the ink at each electrode. The difference from the filtered value is
-    the change, by ink that arrives or leaves; the rest is sustained. If `last_ns` is None, as when
-    the finger lands, all ink counts as change.
+    A low-pass filter follows the ink at each electrode. The change is the ink minus the filtered
+    value. The sustained part is the smaller of ink and filtered value. When the finger lands,
+    `last_ns` is None, and all ink counts as change.
     """
 
     def __init__(self, electrodes: int) -> None:
@@ -96,8 +96,8 @@ class NaturalDrive:
         time_ns: int,
         touching: bool,
     ) -> None:
-        """Set the rows RA and SAI of ``activation``, (3, E), from ink, (E,); without touch, all ink
-        counts as change."""
+        """Set the rows RA and SAI of ``activation``, (3, E), from ink, (E,). If not ``touching``,
+        all ink counts as change."""
         if self.last_ns is None or not touching:
             self._slow[:] = 0
         change, sustained = activation[Afferent.RA], activation[Afferent.SAI]
@@ -150,9 +150,9 @@ class TactileMapper:
     def map(self, frame: Frame, mode: Mode) -> TactileImage:
         """Return the activation of each electrode, in the rows of the mode's classes.
 
-        Activation increases with the share of ink in the electrode's cell by the tone curve:
-        gradual edges preserve more of a letter's shape than binary cells. Raises ScheduleError for
-        mode color, which needs stimuli.
+        The tone curve converts the share of ink in an electrode's cell to activation. Gradual
+        activation preserves more of a letter's shape than on and off. Raises ScheduleError for mode
+        color, which needs stimuli.
         """
         if mode is Mode.COLOR:
             raise ScheduleError(
