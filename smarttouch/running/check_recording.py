@@ -110,8 +110,8 @@ def rebuild_pipeline(recording: RecordedRun, profile: Profile, bank: KernelBank)
     if run.hold is not None:
         if run.compliance_v is None:
             raise RecordingError(
-                f"the settings in {recording.path} are incomplete: compliance_v is "
-                "missing, which hold needs"
+                f"the settings in {recording.path} are incomplete: the setting "
+                "hold needs compliance_v, which is missing"
             )
         adaptation = Adaptation(profile, run.hold, run.compliance_v)
     if run.balance:

@@ -33,8 +33,8 @@ class RunConfig(Table):
     mode : Mode or str
         Classes to stimulate: RA, SAI, PC or natural.
     scan : {"auto", "points"} or SlotPolicy
-        points: one point in each slot; auto: independent sites share slots, for RA on boards with a
-        current for each electrode.
+        points: each slot stimulates one point. auto: in RA, independent sites share slots if the
+        board has a current source for each electrode.
     rate_hz : float, optional
         Pulses per second at each point, for modes with one class.
     seconds : float, optional
@@ -49,7 +49,7 @@ class RunConfig(Table):
     tone : Tone, optional
         Tone curve from ink to activation.
     line_cue : bool
-        Whether the array's first or last row pulses if the line of print is above or below it.
+        Whether the first or last row pulses if the line of print is above or below the array.
     hold : {"charge", "energy"}, optional
         Quantity of each pulse to keep constant while impedance drifts, if the board allows it.
     balance : bool
@@ -130,7 +130,7 @@ class RunConfig(Table):
         """Return the classes whose points share slots.
 
         With ``scan="auto"`` this is RA. No class shares slots if ``hold`` is set, if the array
-        allows no proof of selectivity (`provable`), or if the board or the profile excludes it.
+        allows no proof of selectivity (`provable`), or if board or profile exclude shared slots.
         """
         if unsupported_reason(profile) is not None or self.scan == "points":
             sharing = NO_SHARING

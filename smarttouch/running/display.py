@@ -84,9 +84,9 @@ class Display(Closing):
 
     @contextmanager
     def opened(self, stop: StopRequest | None = None) -> Iterator[Board]:
-        """Open the board during a block. A stop sets the board to zero at once, even while opening.
+        """Open the board for a block. A stop sets the board to zero at once, also during opening.
 
-        After a signal, the block ends by itself, because sending raises BoardStoppedError.
+        After a signal, sending raises BoardStoppedError, so that the block ends.
         """
         command = current_command()
         stop, before = stop or command.stop, command.orderly
@@ -214,7 +214,7 @@ class Session(Program):
         if isinstance(kind, type) and error is not self._failed:
             # The program failed: set the board to zero at once.
             self._stop.ask(f"the program raised {kind.__name__}")
-        loop, self._outside = self._loop, "its with block is over"
+        loop, self._outside = self._loop, "the session's with block is over"
         self._leave()
         try:
             if self._failed is not None:

@@ -50,7 +50,7 @@ from smarttouch.sources.source_contract import Frame, Input, Source, checked_inp
 
 HELD_UP_NS = 1_000_000
 """Duration of a send, less its processor time, above which the send has waited for the board."""
-_LATE_AGAIN_NS = 5_000_000_000  # time without late sequences after which one is reported again
+_LATE_AGAIN_NS = 5_000_000_000  # late sequences at shorter intervals are reported only once
 
 LOG = logging.getLogger("smarttouch.run")
 """Logger of events, silent unless a program adds handlers."""
@@ -70,10 +70,10 @@ def emit_to(listeners: Sequence[Listener]) -> Emit:
 
 @contextmanager
 def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iterator[None]:
-    """Warm up the pipeline; freeze garbage collection and limit OpenCV to one thread in the block.
+    """Warm up the pipeline. In the block, freeze garbage collection and limit OpenCV to one thread.
 
     Enter the block before opening a board: an open board would report the warm-up as a lost host.
-    In simulated time, only OpenCV is limited, because nothing can be late.
+    In simulated time nothing can be late, so skip the warm-up and do not freeze.
     """
     threads = cv2.getNumThreads()
     # Images are small: a second thread costs more than it saves.
@@ -98,8 +98,7 @@ STEP = 0.05  # change of level by one press of a key
 @dataclass(frozen=True)
 class ControlState:
     """State of the user's controls; ``level`` is relative to the strongest comfortable current, in
-    [0, 1].
-    """
+    [0, 1]."""
 
     mode: Mode
     level: float = 1.0
@@ -176,7 +175,7 @@ class Controls:
             self._state = replace(self._state, **changes)
 
 
-NO_INK_NS = 5_000_000_000  # time without ink under a pressing finger until the user gets advice
+NO_INK_NS = 5_000_000_000  # if a pressing finger meets no ink for this time, advise the user
 LIFT_NS = 300_000_000  # time at zero intensity after a lifted finger, before the ramp rises again
 
 
@@ -199,10 +198,10 @@ class Inputs:
     _last_seen: int | None = None
     _blind: bool = False
     _lifted_until_ns: int = 0
-    _inkless_since_ns: float | None = None  # infinite after the user got advice
+    _inkless_since_ns: float | None = None  # first press without ink; infinite after advice
 
     def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
-        """Return the input with the effective force, 0 if unknown, and the level; None at the end.
+        """Return the input, with the effective force, and the user's level; None at the end.
 
         ``time_ns`` is the time of the run, ``now_ns`` the time by the loop's clock.
         """
@@ -376,7 +375,7 @@ class Loop:
             yield
 
     def resume(self) -> None:
-        """After a pause without sequences, move the next deadline to now if it has passed."""
+        """Move the next deadline to now if it has passed during a pause without sequences."""
         if self._start_ns is None:
             self._start_ns = self._zero_ns = self._clock.now_ns()
         elif (idle_ns := self.time_ns() - self.elapsed_ns) > 0:
@@ -413,11 +412,11 @@ class Loop:
         """Deliver one input; return False at the end of the source or of the run."""
         inputs, clock = self.inputs, self._clock
         pipeline, board, phase = inputs.pipeline, inputs.board, self._phase
-        # Keep this order: a pause of the computer between the two calls then counts as a delay.
+        # Read the board's clock first, so that a pause before the second read counts as a delay.
         board_ns, now_ns = board.clock.now_ns(), clock.now_ns()
         since_ns, deadline_ns = now_ns - (self._start_ns or 0), self._zero_ns + self.elapsed_ns
         inputs.statistics.seconds = since_ns / 1e9
-        # No current has flowed since the end of the last sequence, even if no deadline has passed.
+        # Current stopped at the end of the last sequence, which may be before the deadline.
         waits_ns = max(0, now_ns - deadline_ns, now_ns - self._over_ns if self._over_ns else 0)
         if waits_ns > LATE_NS and self._may_stall:
             # After a stall, send the next sequence now and restart the ramp.

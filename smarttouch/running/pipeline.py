@@ -46,7 +46,7 @@ class Regulator:
     _waited: int = 0
 
     def balance(self, sequence: ScanSequence, ledger: ChargeBalance) -> ScanSequence:
-        """Balance the charge of a sequence, add the result to the ledger, and return the result."""
+        """Return a sequence with balanced charge, and add its charge to the ledger."""
         if self.recharge is None:
             balanced = ledger.balancing(sequence)
             self._reversed += balanced is not sequence
@@ -59,9 +59,10 @@ class Regulator:
         return balanced
 
     def take_back(self, sequence: ScanSequence) -> None:
-        """Subtract the charge of a sequence that did not reach the board from the ledger.
+        """Remove a sequence from the ledger, because the sequence did not reach the board.
 
-        With recharge phases the ledger keeps this charge, because the gate has counted it, too.
+        With recharge phases, do nothing: the gate has counted the sequence, and the ledger must
+        agree with the gate.
         """
         if self.ledger is not None and self.recharge is None:
             self.ledger.add(sequence, -1)
@@ -91,8 +92,8 @@ class Regulator:
 class Pipeline:
     """Conversion of frames and stimuli to scan sequences; times are those of the inputs.
 
-    If ``vibrated``, mechanical vibrators instead of current stimulate PC (paper, Section V). If
-    ``in_sums``, each slot is a sum of quantized kernels, for boards that store kernels.
+    If ``vibrated``, mechanical vibrators stimulate PC, and PC gets no current. If ``in_sums``, each
+    slot is a sum of quantized kernels, for boards that store kernels.
     """
 
     def __init__(
@@ -113,7 +114,7 @@ class Pipeline:
         self._mapper = self._make_mapper(profile, config.light_on_dark, config.tone)
         self._limits = SafetyLimits.of(profile)
         self.ramp: Ramp = Ramp(self._limits.ramp_ns)
-        """Ramp for use without a board: each sequence counts as written at its own time."""
+        """Ramp for use without a board. It assumes that no sequence is sent late."""
         self.regulator: Regulator = Regulator()
         self._vibration, self._time_ns = 0.0, 0
         self._restarted = True
@@ -122,8 +123,8 @@ class Pipeline:
             self._common.net = NetPlan(self.electrodes)
         self._scans: dict[Mode, ScanScheduler] = {}
         self.table: KernelTable | None = None
-        """Quantized kernels for boards that store kernels: the kernels of the bank, and the kernels
-        for shared slots."""
+        """Quantized kernels, if the board stores kernels. The table contains the kernels of the
+        bank and the kernels for shared slots."""
         if in_sums and profile.output.kind == "weighted":
             frames = {
                 afferent: FrameSlots(profile, bank, afferent)
@@ -149,7 +150,7 @@ class Pipeline:
     def offered(self) -> tuple[Mode, ...]:
         """Return the modes that board, profile and kernels offer.
 
-        In mode color only color is offered; in other modes it is not, because it needs stimuli.
+        Changes to or from mode color are not offered, because only this mode needs stimuli.
         """
         modes = []
         for mode in Mode:
@@ -163,7 +164,7 @@ class Pipeline:
         if self._vibrated and mode is Mode.PC:
             raise SmartTouchError(
                 "mode PC needs current, but in this run a vibrator stimulates PC: remove the "
-                "vibrator, or use a vibration: source"
+                "vibrator, or use the source vibration:SPEC"
             )
         if mode not in self._scans:
             bank, config, classes = self._bank, self._config, mode.afferents
@@ -225,7 +226,7 @@ class Pipeline:
         )  # fmt: skip
 
     def restart_at_zero(self) -> None:
-        """Restart the ramp at zero intensity, and the schedule of pulses."""
+        """Restart the ramp at zero intensity, and restart the schedule of pulses."""
         self.ramp.restart()
         self._vibration = 0.0
         for scan in self._scans.values():
@@ -300,8 +301,8 @@ def make_regulator(
             )
         if config.hold == "energy":
             note(
-                f"To keep energy constant, currents start at {RESERVED:.0%} of the requested ones, "
-                "and can rise when skin becomes wet: raise the intensity if needed."
+                f"To keep energy constant, currents start at {RESERVED:.0%} of the request: raise "
+                "the intensity if needed. When the skin becomes wet, currents can rise."
             )
         adaptation = Adaptation(profile, config.hold, can.compliance_v)
     if config.balance:

@@ -41,7 +41,7 @@ from smarttouch.stimulation.scheduler import force_gate
 
 STEADY = 0.98  # share of a level above which the level counts as reached
 SILENT_US = 20_000  # period of sequences without current, and of pulses that raise the ramp
-_FAINT = 0.01  # first activation of pulses that raise the ramp, near the detection threshold
+_FAINT = 0.01  # activation of the first pulses of a ramp, near the detection threshold
 _POLL_S = 0.01  # interval at which a waiting thread checks whether it was canceled
 _IDLE_S = 0.045  # longest time between sequences while `put` shows a pattern without current
 
@@ -74,7 +74,7 @@ class Shown:
     current_ma : float, mA
         Strongest current in the last sequence with pulses, magnitude.
     ramped_s : float, s
-        Time for which the ramp rose before the pattern; 0 if its level was reached before.
+        Time that the ramp needed to reach the pattern's level; 0 if the ramp was already there.
     """
 
     time_ns: int
@@ -113,18 +113,18 @@ class Program(Source, Listener):
         self._loop: Loop | None = None  # loop of the current run
         self._context: RunContext
         self._mapper: TactileMapper
-        self._outside = "enter its with block first"
+        self._outside = "enter the session's with block first"
         self._failed: BaseException | None = None
         self._input: Input | None = None
         self._result: StepResult
         self._count = 0  # number of shown patterns
         self._last_number: int | None = None
-        # Shared by threads. `_waiting` has an entry for each thread that waits to show a pattern.
+        # Threads share the attributes below. `_waiting` has one entry for each waiting thread.
         self._turns, self._waiting = threading.Lock(), deque[object]()
         self._news, self._put_lock = threading.Event(), threading.Lock()
         self._put: tuple[NDArray[np.float32] | Frame, int, int] = (self._nothing, 0, 0)
-        """Latest pattern of `put`, with the times of the call and of becoming stale, by
-        `time.monotonic_ns`."""
+        """Latest pattern of `put`, the time at which `put` was called, and the time from which the
+        pattern is stale, both by `time.monotonic_ns`."""
         self._is_new = False  # whether the latest pattern of `put` is unsent
         self._put_count = 0  # number of the latest pattern of `put`
         self._missed = 0  # number of patterns of `put` that were replaced unsent
@@ -139,7 +139,7 @@ class Program(Source, Listener):
         try:
             self.program()
         except SmartTouchError:
-            # After the end of a run, showing a pattern raises this error: it is not a fault.
+            # This error is no fault if the program showed a pattern after the end of the run.
             if self._failed is not None or not loop.stop.event.is_set():
                 raise
         finally:
@@ -205,9 +205,9 @@ class Program(Source, Listener):
         least: float = STEADY,
         exact: bool = False,
     ) -> Shown:
-        """Show a pattern for some time, and return when it is over.
+        """Show a pattern for some time, and return at the end of the pattern.
 
-        If the ramp is below the pattern's level, it first rises to this level, as by `rise`.
+        If the ramp is below the pattern's level, call `rise` first.
 
         Parameters
         ----------
@@ -215,15 +215,15 @@ class Program(Source, Listener):
             Activation of the mode's class, (E,), or of each class, (3, E), in [0, 1]; or an image,
             (H, W) uint8.
         seconds : float, s
-            Duration, from the first pulse at the level; infinite if ``level`` ends the pattern.
+            Duration, without the time for the ramp. Give infinity if ``level`` ends the pattern.
         level : float, in [0, 1], or callable
             Share of the session's intensity; or a function that takes the seconds since the start
             and returns this share for the next sequence, or None to end the pattern.
         rate_hz : float, Hz, optional
             Sequences per second; by default the rate of the mode.
         opens : float, in [0, 1], optional
-            Level that the ramp must reach first; by default the initial level. With 0 the ramp does
-            not rise first.
+            Level that the ramp must reach before the pattern; by default the pattern's first level.
+            With 0, the pattern begins at once.
         least : float, in [0, 1]
             Share of the requested intensity below which the pattern ends with an error.
         exact : bool
@@ -289,7 +289,7 @@ class Program(Source, Listener):
         if first is not None and (start := board.start_of(first)) is not None:
             board_us = start[1]
             if not board.simulated_time:
-                # Of the two clocks, only the board's runs while the machine is suspended.
+                # While the machine is suspended, the board's clock runs and `time.monotonic` stops.
                 clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start[0])
         return Shown(begun_ns, clock_ns, board_us, sequences, pulses, intensity, current_ma, 0.0)
 
@@ -305,7 +305,7 @@ class Program(Source, Listener):
         require_within(SmartTouchError, "seconds", seconds, 0, math.inf, above=True)
         with self._turn():
             end_ns = self.now_ns + (math.inf if seconds == math.inf else round(1e9 * seconds))
-            # End exactly in time: add a rest too short for a sequence to the last sequence.
+            # Lengthen the last sequence if the rest of the wait is too short for another one.
             while (left_us := (end_ns - self.now_ns) / 1000) >= self._least_us:
                 if until is not None and until():
                     return
@@ -332,17 +332,17 @@ class Program(Source, Listener):
             raise
 
     def put(self, pattern: Pattern, stale_s: float = 0.5) -> None:
-        """Show a pattern until the next one or until it is stale, and return at once.
+        """Show a pattern until the next call of `put`, and return at once.
 
-        The latest pattern begins when the current sequence is over. A stale pattern causes no
-        current. In simulated time, the pattern is sent once before `put` returns.
+        The pattern begins when the current sequence is over. A stale pattern causes no current. In
+        simulated time, `put` returns after it has sent one sequence of the pattern.
 
         Parameters
         ----------
         pattern : ndarray or Frame
             See `show`.
         stale_s : float, s
-            Age at which the pattern is stale.
+            Time from this call until the pattern is stale.
         """
         loop = self._require_loop()
         checked, now_ns = self.checked(pattern), time.monotonic_ns()
@@ -380,7 +380,7 @@ class Program(Source, Listener):
                             loop.resume()
                             self.now_ns = loop.elapsed_ns
         except Exception as error:
-            # The next call raises this error; errors after the end of a run are ignored.
+            # The next call from the program raises this error. Ignore errors after the run.
             if self._loop is not None and not self._loop.stop.event.is_set():
                 self._failed = self._failed or error
                 with contextlib.suppress(SmartTouchError):
@@ -403,8 +403,8 @@ class Program(Source, Listener):
 
     @contextmanager
     def _turn(self, waits: bool = True) -> Iterator[Loop]:
-        """Wait until no other thread shows a pattern; yield the loop, with its next deadline now.
-        If ``waits``, the thread that sends patterns of `put` gives way to this thread."""
+        """Wait until no other thread shows a pattern, set the next deadline to now, and yield the
+        loop. If ``waits``, the thread that sends patterns of `put` lets this thread go first."""
         waiting = [object()] * waits
         self._waiting.extend(waiting)
         self._news.set()
@@ -463,8 +463,8 @@ class Program(Source, Listener):
             weak = np.asarray(np.float32(faint) * active, np.float32)
             sequence = self._send(self._stimulus(weak, self._silent_us, level)).sequence
             if 0 < STEADY * self._requested(exact) <= sequence.intensity:
-                # These pulses are too weak to raise the ramp, so use stronger ones. If even the
-                # strongest have no slots, no current can flow, and the ramp does not matter.
+                # The pulses were too weak to raise the ramp: double their activation. If full
+                # activation makes no slots, no current can flow, and no ramp is needed.
                 if faint == 1 and not sequence.slots:
                     return 0.0
                 faint = min(1.0, 2 * faint)
@@ -516,7 +516,7 @@ class Program(Source, Listener):
         return active
 
     def checked(self, pattern: Pattern | None) -> NDArray[np.float32] | Frame:
-        """Return a pattern as activation, (3, E), or frame. Raises SourceError if it is invalid."""
+        """Convert a pattern to activation, (3, E), or a frame. Raises SourceError if impossible."""
         electrodes, mode = self._nothing.shape[1], self.mode
         if pattern is None:
             return self._nothing

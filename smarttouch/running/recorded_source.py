@@ -60,9 +60,9 @@ class RecordingSource(Source):
         return replace(recorded, time_ns=time_ns, number=number, age_ns=age_ns, stale=stale)
 
     def narrowed(self, profile: Profile) -> Profile:
-        """Return the profile, with limits at least as strict as recorded.
+        """Return the profile, with the recorded limits where they are stricter.
 
-        Raises RecordingError if stimuli are for another number of electrodes.
+        Raises RecordingError if recorded stimuli are for another number of electrodes.
         """
         was = self._recording.profile
         count, recorded = len(profile.electrodes), len(was.electrodes)
@@ -70,7 +70,7 @@ class RecordingSource(Source):
         if count != recorded and first is not None and isinstance(first.step.input, Stimulus):
             raise RecordingError(
                 f"{self.title} has stimuli for {recorded} electrodes, but profile {profile.name} "
-                f"has {count}: give the --profile of that display"
+                f"has {count}: give a --profile with {recorded} electrodes"
             )
         return stricter(profile, was)
 

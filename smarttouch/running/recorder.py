@@ -58,7 +58,7 @@ class Recorder(Listener):
         self._thread: threading.Thread | None = None  # runs from `start` to `close`
 
     def prepare(self, run: RunContext) -> None:
-        """Raise RecordingError if the file exists, before the display is opened."""
+        """Before the display is opened, raise RecordingError if the file exists."""
         if self.path.exists():
             raise RecordingError(
                 f"{self.path} exists and recordings are never overwritten: give another name"
@@ -142,7 +142,7 @@ class Recorder(Listener):
             self._failure = self._failure or error
 
     def _write_chunk(self) -> bool:
-        """Write items until `CHUNK_S` after the first; return False at the end of the recording."""
+        """Write the items of the next `CHUNK_S`; return False at the end of the recording."""
         item, begun_s = self._queue.get(), time.monotonic()
         while item is not None:
             if self._failure is not None:

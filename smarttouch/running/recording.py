@@ -135,7 +135,7 @@ class RecordedRun:
         if version != FORMAT:
             raise RecordingError(
                 f"{path} is a recording of format {version!r}, but this version reads {FORMAT}: "
-                "use the version that made it"
+                "use the version that made the recording"
             )
         if self.about.get("digest") != digest_of(self.about):
             raise RecordingError(

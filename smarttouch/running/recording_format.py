@@ -37,7 +37,7 @@ FORMAT = "2"  # version of the format; increase it if older versions cannot read
 METADATA = "smarttouch"  # name of the metadata record that describes the run
 Message = dict[str, Any]
 
-# Fields of a step's message: attributes with their types, and arrays with their packed dtypes.
+# Fields of a step's message, with the type of each value and the packed dtype of each array.
 _INPUT = {"time_ns": int, "number": int, "age_ns": int, "stale": bool}
 _POSE = ("x_mm", "y_mm", "angle_rad")
 _SEQUENCE = {"period_us": int, "intensity": float, "recharge_us": int}
@@ -73,7 +73,7 @@ _PNG = (
     cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
 )  # fmt: skip
 _INFO = 2  # level of events in foxglove.Log
-_REMEMBERED = 512  # number of sequences kept for voltages in later steps: more than a second
+_REMEMBERED = 512  # number of sequences kept to decode the voltages in later steps
 _LONGEST_US = 10_000_000  # longest time between two stimuli: the period of the slowest rate
 _INVALID = (ValueError, TypeError, LookupError, AttributeError, OverflowError, cv2.error)
 """Exceptions raised by valid JSON with invalid content."""
@@ -315,8 +315,7 @@ def _packed(values: NDArray[Any] | None, kind: DTypeLike) -> str | None:
 
 
 def _unpacked(text: str | None, kind: DTypeLike, *shape: int) -> Any:
-    """Return an array in native byte order, or None for null. Raises ValueError for a wrong
-    size."""
+    """Return an array in native byte order, or None for null. A wrong size raises ValueError."""
     if text is None:
         return None
     values = np.frombuffer(base64.b64decode(text, validate=True), kind)

@@ -89,7 +89,7 @@ class RunStatistics:
     spill: float = 0.0
     """Largest spill of shared slots."""
     kernels: KernelBank | None = None
-    """Kernel bank of the run, for slots of a single point."""
+    """Kernel bank of the run, which determines the selectivity of slots with a single point."""
     modes: set[Mode] = field(default_factory=set)
     """Modes in which slots were sent."""
     seconds: float = 0.0
@@ -114,7 +114,7 @@ class RunStatistics:
     notes: list[str] = field(default_factory=list)
     """Sentences for the user after the run."""
     figures: dict[str, Any] = field(default_factory=dict)
-    """Figures of the run by name, for JSON; complete after the end."""
+    """All statistics by name, for JSON; empty until the end of the run."""
     _last_sent: int | None = None
 
     def enter(self, result: StepResult, error_us: float | None) -> None:
@@ -149,8 +149,8 @@ class RunStatistics:
 
     @property
     def selectivity(self) -> tuple[float, float] | None:
-        """Largest off-target activation and spill, from shared slots and from the kernels of all
-        modes; None if unknown."""
+        """Largest off-target activation and largest spill of all slots: shared slots, and single
+        kernels of the used modes. None if unknown."""
         bank, other, spill = self.kernels, self.off_target, self.spill
         if bank is None or bank.discs:
             return (other, spill) if other or spill else None
@@ -216,10 +216,10 @@ class RunStatistics:
         }
 
 
-GUARD_NS = 500_000  # margin before the board needs a sequence, in addition to typical delays
+GUARD_NS = 500_000  # spare time between the typical arrival of a sequence and its start
 _IDLE_NS = 1_000_000
-"""Pause above which the board has waited for a late sequence; boards also make shorter pauses."""
-_ONE_LATE_IN = 20  # number of sequences, of which one may come late
+"""Longest normal pause of a board between sequences. A longer pause means a late sequence."""
+_ONE_LATE_IN = 20  # one sequence in this number may take longer than the assumed delay
 _REMEMBERED = 250  # number of sequences for which transfer times are remembered
 
 
@@ -231,7 +231,7 @@ class Sent:
     taken_ns: int  # capture time of the image
     deadline_ns: int
     elapsed_ns: int  # time of the run at the deadline
-    waited_ns: int  # wait for space on the board; 0 if the board was not the cause
+    waited_ns: int  # time that sending waited for space on the board, or 0
     sent_ns: int
     period_ns: int
     ahead_ns: int  # time by which the board's clock is ahead of the loop's
@@ -240,9 +240,10 @@ class Sent:
 class PhaseLock:
     """Phase lock, which moves a loop's deadlines later, so that images are as fresh as possible.
 
-    The board reports when it starts each sequence. Deadlines move later until they precede starts
-    by the sum of `GUARD_NS`, the transfer time, and the delay until sending that 19 of 20 recent
-    sequences kept. Deadlines never move earlier: a late sequence also delays later starts.
+    The board reports when it starts each sequence. Its deadline should precede this start by
+    the sum of transfer time, usual delay of sending, and `GUARD_NS`. If this lead is longer, all
+    following deadlines are delayed. Deadlines need not be advanced, because a late sequence also
+    delays the starts of all later sequences.
     """
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:
@@ -252,7 +253,7 @@ class PhaseLock:
         self._transfers: deque[tuple[int, int]] = deque(maxlen=8)
         """Number and transfer time, ns, of each sequence for which the board waited."""
         self._free_ns: int | None = None
-        """Time at which the board was free after the newest sequence whose start is known."""
+        """Expected end of the newest sequence whose start is known, by the loop's clock."""
         self.newest: FirstPulse | None = None
         """First pulse of the newest sequence whose start became known since the last step."""
 
@@ -284,13 +285,13 @@ class PhaseLock:
                 self._transfers.append((number, waited_ns))
                 transfer_ns = max(transfer_ns, waited_ns)
             self._free_ns = begun_ns + earlier.period_ns
-            # delay that 19 of 20 recent sequences kept
+            # Delay of sending that 19 of 20 recent sequences did not exceed.
             delay_ns = sorted(self._delays_ns)[-1 - len(self._delays_ns) // _ONE_LATE_IN]
             lead_ns = begun_ns - zero_ns - earlier.elapsed_ns
             more_ns = max(0, lead_ns - transfer_ns - delay_ns - GUARD_NS)
         return more_ns
 
     def forget(self) -> None:
-        """Discard the sent sequences after the board was lost."""
+        """After the board was lost, forget the sequences whose start it has not reported."""
         self._pending.clear()
         self._free_ns = None

@@ -49,7 +49,7 @@ class Runner:
     ``force`` is a source of finger force or its URL. The default is the profile's ``force.source``
     if a finger may be on the board, and otherwise the force that the source or the board knows.
     ``load_kernels`` returns the kernels of a profile. ``controls`` makes the controls from the
-    initial state and the offered modes. Time is real if the run is paced, else that of the board.
+    initial state and the offered modes. A paced run uses real time, any other run the board's time.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Runner:
         board, stop, ended = display.board, self._stop, "fault"
         report: BoardReport | None = None
         with contextlib.ExitStack() as stack:
-            # Enter this first, so that it exits last: `smarttouch stop` also waits for recordings.
+            # Exit `stoppable_run` last: `smarttouch stop` then waits until recordings are written.
             to_its_end = stack.enter_context(stoppable_run(stop, board))
             stack.enter_context(display.stopping.on_stop(lambda: stop.ask(display.stopping.reason)))
             for listener in reversed(self._listeners):
@@ -211,8 +211,8 @@ class Runner:
         rms = rms_ma_cm2(profile)
         if on_a_finger and rms > ADVISORY_RMS_MA_CM2:
             board.notes.append(
-                f"at full intensity the current density is {rms:.0f} mA/cm² r.m.s.: above "
-                f"{ADVISORY_RMS_MA_CM2:g} mA/cm², IEC 60601-2-10 requires the operator's attention"
+                f"the current density at full intensity is {rms:.0f} mA/cm² r.m.s.: watch the "
+                f"finger. IEC 60601-2-10 requires attention above {ADVISORY_RMS_MA_CM2:g} mA/cm²."
             )
         if on_a_finger and not self.statistics.real_time:
             board.notes.append(priority_advice())
@@ -242,7 +242,7 @@ class Runner:
             raise SourceError(
                 f"neither {title} nor the board measures the finger's force, and without force no "
                 "current flows: choose a source of force, for example --force hx711:PORT. If a "
-                "person presses and nothing measures the force, state it by --force "
+                "person presses without a sensor, state the force by --force "
                 f"fixed:{self.display.profile.force.full_n:g} (N)"
             )
 
@@ -403,7 +403,7 @@ def replay(
         The recording.
     display : Display
         Display, whose profile may differ from the recorded profile. If a finger may be on the
-        board, the recording can only lower limits, and the recorded force is not used.
+        board, the stricter limits of both profiles apply, and the recorded force is not used.
     listeners, force, stop
         See `run`.
     **settings

@@ -38,10 +38,10 @@ class Walk(Program):
     ) -> None:
         super().__init__(profile, "one electrode after another")
         if seconds is not None:
-            words = f"a time of {seconds:g} s for each electrode"
+            words = f"the requested time of {seconds:g} s for each electrode"
             require_within(SmartTouchError, "seconds", seconds, 0, math.inf, words, above=True)
         full_ma = float(profile.full_ma.max())
-        words = f"a current of {current_ma:g} mA (strongest comfortable current: {full_ma:g} mA)"
+        words = f"the requested current of {current_ma:g} mA (comfortable: up to {full_ma:g} mA)"
         require_within(SmartTouchError, "current_ma", current_ma, 0, full_ma, words, above=True)
         self._leaves, self._current_ma, self._seconds = False, current_ma, seconds
         self._sites = range(len(profile.electrodes)) if sites is None else sites
@@ -70,7 +70,7 @@ class Walk(Program):
                 while not level or (not self._leaves and self.now_ns - began_ns < each_ns):
                     self._count += 1
                     self._send(self._stimulus(activation, period_us, level))
-                    # After a first sequence at zero, the ramp limits how fast intensity rises.
+                    # The first sequence is at zero. Then the ramp limits how fast intensity rises.
                     level = float(most_ma / self._profile.full_ma[site])
 
 
