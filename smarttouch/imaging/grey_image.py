@@ -23,7 +23,7 @@ _AROUND = np.ones((5, 5), np.uint8)  # neighborhood of a pixel for the detection
 _EDGE_LEVELS = 40  # smallest difference of gray levels that counts as an edge
 _FEWEST_EDGES = 50  # smallest number of edge pixels from which color weights are chosen
 _PRINT_SHARE = 0.1  # number of edge pixels per outline pixel above which an image contains print
-_NO_PAGE = 1 | 4  # bits of thumbnails and masks in the NewSubfileType of a TIFF
+_NO_PAGE = 1 | 4  # bits in a TIFF's NewSubfileType that mark thumbnails and masks
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
 """Exceptions of Pillow for damaged files."""
 
@@ -32,8 +32,8 @@ class GreyConverter:
     """Converter of the images of one source to gray levels.
 
     Many images do not state the level of white, the background of transparent pixels or the weights
-    of colors. The converter chooses these for the first image that needs them, and keeps them for
-    later images. White and weights change only if a later image requires it.
+    of colors. The converter chooses these values for the first image that needs them, and keeps
+    the values for later images. White and weights change only if a later image needs other values.
     """
 
     def __init__(self) -> None:

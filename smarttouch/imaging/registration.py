@@ -20,7 +20,7 @@ _SAMPLES = 6  # points along each side of a pixel, to compute which share of the
 class Apertures(NamedTuple):
     """Indexes and weights of the pixels under each electrode. An electrode has at most P pixels."""
 
-    pixel: NDArray[np.intp]  # (P, E)
+    pixel: NDArray[np.intp]  # (P, E) index of each pixel in the flattened frame
     share: NDArray[np.float32]  # (P, E) weight of each pixel in the mean, divided by 255
 
 

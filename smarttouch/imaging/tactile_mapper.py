@@ -134,7 +134,7 @@ class TactileMapper:
     ) -> None:
         self._profile, self._light_on_dark = profile, light_on_dark
         self._tone = tone = tone or Tone()
-        # For small arrays, array bounds in np.minimum are faster than floats or np.clip.
+        # For small arrays, np.minimum with bounds as arrays is faster than with floats.
         self._faintest = np.array(tone.faintest, np.float32)
         steepness = 1 / (tone.fullest - tone.faintest) if tone.fullest > tone.faintest else math.inf
         self._steepness, self._none, self._full = np.array((steepness, 0, 1), np.float32)[:, None]
