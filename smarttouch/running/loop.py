@@ -78,7 +78,7 @@ def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iter
     threads = cv2.getNumThreads()
     # Images are small: a second thread costs more than it saves.
     cv2.setNumThreads(1)
-    # If the program has frozen objects itself, do not unfreeze them at the end.
+    # If objects were frozen before, leave them frozen at the end.
     freezes = not simulated_time and not gc.get_freeze_count()
     if not simulated_time:
         pipeline.warm_up()

@@ -27,7 +27,7 @@ from smarttouch.stimulation.scheduler import NetPlan, ScanScheduler, SchedulerCo
 from smarttouch.stimulation.sequence_limits import strength_ppb
 from smarttouch.stimulation.slots import FrameSlots
 
-_ROUNDING_UC = 0.02  # net charge that rounding to 1 µA can leave after the longest recharge phase
+_ROUNDING_UC = 0.02  # largest net charge after the longest recharge phase, due to rounding to 1 µA
 
 
 @dataclass
@@ -46,7 +46,7 @@ class Regulator:
     _waited: int = 0
 
     def balance(self, sequence: ScanSequence, ledger: ChargeBalance) -> ScanSequence:
-        """Return a sequence with balanced charge, and add its charge to the ledger."""
+        """Return a balanced version of a sequence, and add this version's charge to the ledger."""
         if self.recharge is None:
             balanced = ledger.balancing(sequence)
             self._reversed += balanced is not sequence
@@ -209,7 +209,7 @@ class Pipeline:
             gone = max(0, 0 if self._restarted else time_ns - self._time_ns) / self._limits.ramp_ns
             self._vibration, self._time_ns = min(wanted, self._vibration + gone), time_ns
             if not np.delete(activation, Afferent.PC, axis=0).any():
-                # No class gets current. The vibration has been limited above, so skip the ramp.
+                # No class gets current. The vibration has been ramped above: skip the ramp here.
                 wanted, strength = self._vibration, 1.0
         sequence = scan.schedule(tactile, wanted, pressure, strength, regulator.adaptation)
         if allowed is None:
@@ -256,7 +256,7 @@ class Pipeline:
         config = self._config
         twin._mapper = self._make_mapper(self._profile, config.light_on_dark, config.tone)
         twin.ramp = Ramp(self._limits.ramp_ns)
-        # The copy can use the same makers of slots, because they have no state.
+        # The copy can share the makers of slots with this pipeline: makers have no state.
         twin._scans, twin._common = {}, replace(self._common, net=None)
         twin.regulator = Regulator()
         twin.change_mode(self.mode)

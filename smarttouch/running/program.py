@@ -1,4 +1,4 @@
-"""Programs as sources of a run: they show patterns one after another, or always the latest."""
+"""Programs: sources that show patterns one after another, or always the latest pattern."""
 
 import contextlib
 import math
@@ -139,7 +139,7 @@ class Program(Source, Listener):
         try:
             self.program()
         except SmartTouchError:
-            # This error is no fault if the program showed a pattern after the end of the run.
+            # This error is not a fault if the program showed a pattern after the end of the run.
             if self._failed is not None or not loop.stop.event.is_set():
                 raise
         finally:
@@ -387,7 +387,7 @@ class Program(Source, Listener):
                     self._context.board.stop()
 
     def _newest(self) -> Stimulus:
-        """Return the latest pattern of `put`, renumbered if another pattern was shown meanwhile."""
+        """Return the latest pattern of `put`, with a new number after another pattern."""
         with self._put_lock:
             pattern, came_ns, stale_ns = self._put
             if self._is_new or self._count != self._put_count:

@@ -95,8 +95,7 @@ class Recorder(Listener):
         self._to_disk()
 
     def step(self, result: StepResult) -> None:
-        """Queue a step for writing. Raises RecordingError if the disk is full, fails or is too
-        slow."""
+        """Queue a step for writing. Raises RecordingError if the disk fails, is full or slow."""
         if self._queue.qsize() > MOST_WAITING:
             self._failure = self._failure or TimeoutError(
                 0, f"{MOST_WAITING} steps wait for the disk, which is too slow"

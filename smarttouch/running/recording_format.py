@@ -66,7 +66,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
     "/step": ("smarttouch.Step", {name: {"type": ["number", "null"]} for name in _NUMBERS}),
     "/event": ("foxglove.Log", _LOG),
 }
-"""Schema name of each topic, and the properties of its messages that Foxglove can show."""
+"""Schema name of each topic, and the properties of the topic's messages that Foxglove can show."""
 
 # For frames with sensor noise these options are the fastest and give the smallest files.
 _PNG = (
@@ -198,7 +198,7 @@ class RecordedStep:
 
 @dataclass
 class StepDecoder:
-    """Decoder of a run's messages, in the order of the file; ``broken`` counts invalid ones."""
+    """Decoder of a run's messages, in the order of the file; ``broken`` counts invalid messages."""
 
     electrodes: int
     broken: int = 0

@@ -240,10 +240,10 @@ class Sent:
 class PhaseLock:
     """Phase lock, which moves a loop's deadlines later, so that images are as fresh as possible.
 
-    The board reports when it starts each sequence. Its deadline should precede this start by
-    the sum of transfer time, usual delay of sending, and `GUARD_NS`. If this lead is longer, all
-    following deadlines are delayed. Deadlines need not be advanced, because a late sequence also
-    delays the starts of all later sequences.
+    The board reports when it starts each sequence. The deadline of a sequence should precede
+    this start by the sum of transfer time, usual delay of sending, and `GUARD_NS`. If a deadline is
+    earlier, all following deadlines are delayed. Deadlines need not be advanced, because a late
+    sequence also delays the starts of all later sequences.
     """
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:

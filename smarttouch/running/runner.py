@@ -212,7 +212,8 @@ class Runner:
         if on_a_finger and rms > ADVISORY_RMS_MA_CM2:
             board.notes.append(
                 f"the current density at full intensity is {rms:.0f} mA/cm² r.m.s.: watch the "
-                f"finger. IEC 60601-2-10 requires attention above {ADVISORY_RMS_MA_CM2:g} mA/cm²."
+                "finger, because IEC 60601-2-10 requires attention above "
+                f"{ADVISORY_RMS_MA_CM2:g} mA/cm²"
             )
         if on_a_finger and not self.statistics.real_time:
             board.notes.append(priority_advice())

@@ -168,7 +168,7 @@ class Listener:
     notes : list of str
         Sentences for the user after the run.
     vibrates_pc : bool
-        Whether this listener drives a mechanical vibrator for PC, which then gets no current.
+        Whether this listener drives a mechanical vibrator for PC. PC then gets no current.
 
     Examples
     --------
