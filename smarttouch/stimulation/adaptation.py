@@ -1,7 +1,7 @@
 """Impedance control: keeps the charge or energy of pulses constant while skin impedance drifts.
 
 A current source near its compliance voltage delivers less than the requested charge. At constant
-current, higher impedance means more energy, which the paper keeps constant (Section IV-B).
+current, a higher impedance increases the energy. The paper keeps energy constant (Section IV-B).
 """
 
 from typing import Literal
@@ -14,15 +14,16 @@ from smarttouch.stimulation.scan_sequence import ScanSequence, round_charge_bala
 from smarttouch.stimulation.slots import Slots
 
 NEAR = 0.92  # share of the compliance voltage above which a source counts as saturated
-FASTEST_FALL = 0.8  # smallest ratio of a site's currents at successive observations
+FASTEST_FALL = 0.8  # smallest factor by which one observation changes a site's current
 FASTEST_RISE = 1.05
-"""Largest ratio of a site's currents at successive observations: a factor 2 in 0.3 s at 50 Hz."""
+"""Largest factor by which one observation changes a site's current. At 50 Hz, a current can double
+in 0.3 s."""
 RESERVED = 0.5
-"""Initial share of the requested current if energy is held constant. Currents may rise to the full
-request, which they reach when impedance has fallen to a quarter."""
+"""Initial share of the requested current if energy is held constant. The current rises to the full
+request when impedance falls to a quarter of its first value."""
 FAINTEST_ENERGY = RESERVED / 4
-"""Smallest share of the requested current if energy is held constant, reached at 16 times the first
-impedance."""
+"""Smallest share of the requested current if energy is held constant. It applies from 16 times the
+first impedance."""
 WORTHWHILE = 0.999  # scale factors above this are so close to 1 that they are not applied
 
 Array = NDArray[np.float64]
@@ -33,8 +34,8 @@ class Adaptation:
     """Controller of currents and pulse widths, by the measured voltage of each site.
 
     To hold ``charge``, pulses near the compliance voltage become weaker and longer; the board must
-    allow a width for each slot. To hold ``energy``, a current is `RESERVED` times the request times
-    the square root of first impedance over present impedance, and never above the request.
+    allow a width for each slot. To hold ``energy``, the requested current is multiplied by
+    `RESERVED` and by the square root of (first impedance / present impedance), at most by 1.
     """
 
     def __init__(self, profile: Profile, hold: Hold, compliance_v: float) -> None:
@@ -44,7 +45,8 @@ class Adaptation:
         self._switched = profile.output.kind != "weighted"
         self._near_v = NEAR * compliance_v
         longest = profile.pulse.width_us / profile.limits.pulse_us
-        # `apply` weakens full pulses no further, and a lower estimate would take long to recover.
+        # Lower bound of `_highest_ua`: `apply` does not weaken full pulses further, and a lower
+        # value would only rise slowly again.
         self._least_ua = longest * np.asarray(profile.threshold_ma, np.float64) * 1000
         self._highest_ua = np.full(sites, np.inf)
         self._first_kohm = np.full(sites, np.nan)
@@ -70,7 +72,7 @@ class Adaptation:
             self._first_kohm[site[first]] = kohm[first]
             wanted = RESERVED * np.sqrt(self._first_kohm[site] / kohm)
             self._limited[site] = wanted > 1 / WORTHWHILE
-            # Limit the rise, also when a finger returns to the electrodes.
+            # Limit the rise, because impedance falls suddenly when a finger returns.
             wanted = np.fmin(wanted, FASTEST_RISE * self._factor[site])
             self._factor[site] = np.clip(wanted, FAINTEST_ENERGY, 1.0)
             return

@@ -16,14 +16,14 @@ _SAMPLES = 32  # rows and columns of the rotated ink image
 class LineCueMapper(TactileMapper):
     """Tactile mapper that also shows whether the line of print is above or below the finger.
 
-    It activates all electrodes of the first row if the line is above, or of the last row if it is
-    below. It adds nothing while the array's middle is within a quarter of the line height of the
-    middle of the lowercase letters. Raises ScheduleError for arrays of fewer than three rows.
+    If the line is above, all electrodes of the first row are active. If the line is below, all of
+    the last row are active. Nothing is added while the array's middle is between the baseline and
+    the top of the lowercase letters. Raises ScheduleError for arrays of fewer than three rows.
     """
 
     line: tuple[float, float, float] | None = None
-    """Line nearest to the array's middle in the latest frame, or None: baseline, mm below that
-    middle; x-height, mm; and angle to the array's rows, degrees clockwise."""
+    """Line nearest to the array's middle in the latest frame, or None. The values are the baseline,
+    mm below the middle, the x-height, mm, and the angle to the array's rows, degrees clockwise."""
 
     def _prepare(self, shape: tuple[int, int]) -> None:
         super()._prepare(shape)
@@ -49,7 +49,7 @@ class LineCueMapper(TactileMapper):
         self._find_line()
         if self.line is not None:
             baseline_mm, x_mm, _ = self.line
-            # The line height is taken as twice the x-height.
+            # Lowercase letters reach from the baseline up to the x-height.
             if abs(off_mm := baseline_mm - x_mm / 2) > x_mm / 2:
                 tactile.activation[mode.afferents[0], self._border[off_mm > 0]] = 1
         return tactile

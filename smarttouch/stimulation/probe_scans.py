@@ -18,7 +18,7 @@ PROBE_MA = 0.5
 PROBE_US = 50
 _DISCHARGE_US = 100
 _STEPS = 20
-_SLOWEST_US = 20_000  # period in which every board can report its voltages
+_SLOWEST_US = 20_000  # shortest period in which every board can report its voltages
 _SWITCHING_US = 30  # longest time that switching adds to a slot
 _PAIRS = 4  # number of following electrodes with which each one forms a pair
 
@@ -26,12 +26,12 @@ _PAIRS = 4  # number of following electrodes with which each one forms a pair
 def probe_sequences(
     limits: SafetyLimits, output: Output | None, *, in_pairs: bool
 ) -> Iterator[ScanSequence]:
-    """Yield scans of rising current, from zero to at most `PROBE_MA`; measure with the last.
+    """Yield scans whose current rises from zero to at most `PROBE_MA`. Measure with the last scan.
 
-    Each slot drives one electrode against all others or, ``in_pairs``, against one near it. In each
-    scan an electrode carries equal charges of both signs. Masked electrodes carry no current, as
-    they would saturate the voltage if they lack contact. The ramp limit is kept if the board
-    delivers each scan completely.
+    Each slot drives one electrode against all others or, if ``in_pairs``, against a near electrode.
+    In each scan an electrode carries equal charges of both signs. Masked electrodes carry no
+    current, as they would saturate the voltage if they lack contact. The scans keep the ramp limit
+    if the board delivers each of them completely.
     """
     most_ma = min(limits.current_ma, limits.full_ma, *(limits.electrode_ma or ()))
     peak_ma = min(PROBE_MA, 0.9 * most_ma)
@@ -45,10 +45,10 @@ def probe_sequences(
     driven = np.tile(sites, len(turns))
     returns = [back for turn in turns for back in np.roll(sites, -turn)[:, None]]
     if not in_pairs:
-        # Begin after the driven electrode, to spread the rounding remainder over all electrodes.
+        # Begin after the driven electrode, so that the remainder goes to different electrodes.
         returns = [np.roll(sites, -at)[1:] for at in range(len(sites))]
     slot_us = max(PROBE_US + _DISCHARGE_US, int(np.ceil(PROBE_US / limits.duty))) + _SWITCHING_US
-    # The ramp rises only during scans with current, so each scan must last for one step of it.
+    # The ramp rises only while current flows, so each scan must be long enough for one step.
     step_us = max(_SLOWEST_US, int(np.ceil(1.05e6 * limits.ramp_s * top / _STEPS)))
     period_us = max(step_us, int(np.ceil(1e6 / limits.rate_hz)), len(driven) * slot_us)
     sign = 1 if output is None or "cathodic" in output.polarities else -1

@@ -1,7 +1,7 @@
 """Charge balance by reversed polarity, or by a long weak recharge phase in each scan.
 
 The recharge current of an electrode is at most a tenth of its threshold for pulses. A long phase
-has a lower threshold, and currents of neighboring electrodes add up. Still the phase cannot be
+has a lower threshold than a pulse, and currents of neighbors add up. Still the phase cannot be
 felt: by Weiss's law, the recharge phase of a letter reaches at most 0.27 of an afferent's threshold
 on the electric mouse, and 0.44 on the denser electrodes of the Optacon.
 """
@@ -57,7 +57,7 @@ class ChargeBalance:
         Use this for boards of both polarities that cannot make recharge phases (`add_recharge`).
         The reversal has opposite currents at the same sites, and keeps the same limits. **The
         reversal stimulates another class**: reversed currents for RA stimulate SAI, and vice versa
-        (paper, Fig. 10). It has no proof of selectivity. The ledger does not change.
+        (paper, Fig. 10). The reversal has no proof of selectivity. The ledger does not change.
         """
         if self.charge_uc @ (net_charge_pc(sequence) * 1e-6) <= 0:
             return sequence
@@ -103,9 +103,8 @@ def add_recharge(
     """Return a sequence with a recharge phase that brings the net charge of electrodes to zero.
 
     ``carried_pc``, (E,), is the net charge before the sequence. No electrode returns more than it
-    carries. Charge that the limits or the rounding to integer µA leave over stays. The phase is as
-    short as its limits allow; the period becomes longer if necessary. Slots do not change, and a
-    sequence without slots is returned unchanged.
+    carries. Limits and rounding to integer µA can leave a remainder. The phase is as short as its
+    limits allow; the period becomes longer if necessary. Without slots, no phase is added.
     """
     wanted_pc = -(carried_pc + net_charge_pc(sequence))
     asked_pc = np.abs(wanted_pc)
@@ -150,8 +149,8 @@ def _recharge_ua(
         within_ua[larger[np.argsort(rest_pc, kind="stable")[: abs(surplus)]]] -= np.sign(surplus)
     poles_ua = np.cumsum([np.maximum(within_ua, 0), np.maximum(-within_ua, 0)], axis=1)
     shared_ua = min(int(poles_ua[0, -1]), int(poles_ua[1, -1]), total_ua)
-    # Scaled and rounded down, the cumulative sums of both signs have the same total, and no current
-    # becomes larger.
+    # Scale both cumulative sums to one total and round down. Then the currents sum to zero, and no
+    # current becomes larger.
     cathodic, anodic = (pole * shared_ua // max(1, int(pole[-1])) for pole in poles_ua)
     return np.asarray(np.diff(cathodic - anodic, prepend=0), np.int16)
 

@@ -1,4 +1,4 @@
-"""Safety gate, which checks all limits on a frozen copy of each scan sequence, and ramp, which
+"""Safety gate and ramp. The gate checks all limits on a frozen copy of each scan sequence. The ramp
 limits how fast the strength of sequences rises from zero."""
 
 from contextlib import AbstractContextManager
@@ -18,20 +18,21 @@ from smarttouch.stimulation.sequence_limits import Dose, Exposure, prove_sequenc
 
 __all__ = ["ProvedSequence", "Ramp", "SafetyGate", "SafetyLimits"]
 
-LEEWAY_PPB = 1000  # tolerance for rounding errors
+LEEWAY_PPB = 1000  # strength, ppb, by which a sequence may exceed the ramp because of rounding
 LEVEL_KEPT_NS = 15_000_000_000
-"""Time without current after which the ramp restarts at zero. An experiment can wait this long for
-an answer, with the finger in contact."""
+"""Longest pause without current, ns, in which the ramp keeps its level. After a longer pause the
+level is zero. The time is sufficient for an answer in an experiment."""
 PLANNED_KEPT_NS = LEVEL_KEPT_NS - 1_000_000_000
-"""Time without current after which plans restart at zero. It is shorter than `LEVEL_KEPT_NS`, as a
-planned sequence is written later."""
+"""Longest pause without current, ns, after which plans use the ramp's level. It is shorter than
+`LEVEL_KEPT_NS`, because a sequence is written some time after it is planned."""
 FIRST_NS = 20_000_000
+"""First planned strength above zero, stated as the time, ns, that the ramp needs to reach it. The
+scheduler plans a larger strength if all currents would round to zero."""
 MOST_STEP_NS = 80_000_000
-"""Times that the ramp needs for the first and for the largest planned step of strength. The
-scheduler makes the first step larger if its pulses would round to zero."""
+"""Largest planned increase of strength, stated as the time, ns, that the ramp needs for it."""
 AHEAD_NS = 85_000_000
-"""Largest lead of planned over delivered strength, as the time that the ramp needs for it. The gate
-allows 100 ms, so that late sequences can catch up."""
+"""Largest excess of a planned strength over the ramp's level, stated as the time, ns, that the ramp
+needs for it. The gate allows 100 ms, so that late sequences can catch up."""
 
 _ARRAYS = (
     ("current_ua", np.dtype(np.int16), 2, True),
@@ -41,21 +42,23 @@ _ARRAYS = (
     ("vibration", np.dtype(np.float32), 1, False),
     ("recharge_ua", np.dtype(np.int16), 1, False),
 )
-"""Arrays of a sequence: name, type, number of dimensions, and whether the array has a row for each
-slot. Arrays without such rows may be None."""
+"""Name, type and number of dimensions of each array of a sequence. True: the array has one row for
+each slot. False: the array may be None."""
 
 WAITS_NS = 5_000_000_000
-"""Longest time that a sequence may wait until it is written, beyond its repetitions and four of its
+"""Largest delay of a proved sequence, ns, in addition to the time of its passes and four more
 periods. A board that lost a command needs more than 2 s to resynchronize."""
 
 
 class Ramp:
     """Slew limit of the strength of sequences, in integer parts per billion (ppb) of full strength.
 
-    The level rises only while passes with current are delivered, and at most to their strength (see
-    `sequence_limits.strength_ppb`). From zero to full it takes at least ``ramp_ns``. To catch up, a
-    sequence may exceed the level by the rise in `LATE_NS`. After `LEVEL_KEPT_NS` without current
-    the level is zero; weak current does not lower it. Times come from ``clock`` or the sequences.
+    The level rises only while passes with current are delivered, and never above their strength
+    (see `sequence_limits.strength_ppb`). The rise from zero to full takes at least ``ramp_ns``. So
+    that late sequences catch up, the strength of a sequence may exceed the level by the rise in
+    `LATE_NS`. A lower intensity lowers the level. A lower strength at the same intensity does not.
+    The level is zero after `LEVEL_KEPT_NS` without current. Times are those of ``clock`` or, if
+    there is no clock, of the sequences.
     """
 
     def __init__(self, ramp_ns: int, clock: Clock | None = None) -> None:
@@ -74,16 +77,16 @@ class Ramp:
             self._newest_ns = -(2**63)
 
     def claim(self, ppb: int, strength_ppb: int, now_ns: int) -> None:
-        """Record the intensity of a proved sequence, from which the next intensity is planned.
+        """Record the intensity of a proved sequence. The next intensity is planned from this value.
 
-        The sequence may not be written yet. After a lifted finger its intensity is 0.
+        A sequence without current can only lower the value: to 0 after the finger was lifted.
         """
         self._begun, self._newest_ns = True, now_ns
         self._claimed_ppb = ppb if strength_ppb else min(ppb, self._claimed_ppb)
 
     def open_at(self, claimed_ns: int, kept_ns: int = LEVEL_KEPT_NS) -> tuple[int, int]:
-        """Return the present time, which never goes back, and the level at that time, without the
-        allowance for catching up."""
+        """Return the present time, ns, which never goes back, and the ramp's level, ppb. The level
+        does not include the rise in `LATE_NS` that `permits` adds."""
         # If the clock goes back, treat it as stopped.
         clock_ns = claimed_ns if self._clock is None else self._clock.now_ns()
         now_ns = max(clock_ns, self._newest_ns)
@@ -108,15 +111,15 @@ class Ramp:
             now_ns, open_ppb = self.open_at(claimed_ns, PLANNED_KEPT_NS)
             if not open_ppb:
                 return FIRST_NS / self._ramp_ns
-            # The level rises only in time with current.
+            # The level rises only while current flows.
             step_ns = min(now_ns - self._since_ns, self._left_ns, MOST_STEP_NS)
             step_ns = max(step_ns, 0 if self._claimed_ppb else FIRST_NS)
             risen_ppb = self._claimed_ppb + step_ns * PPB // self._ramp_ns
             return min(PPB, risen_ppb, open_ppb + AHEAD_NS * PPB // self._ramp_ns) / PPB
 
     def permits(self, strength_ppb: int, claimed_ns: int, open_ppb: int | None = None) -> bool:
-        """Return whether a sequence of this strength may begin now. It may exceed the level by the
-        rise in `LATE_NS`, to catch up. ``open_ppb`` is the level from `open_at`, if known."""
+        """Return whether a sequence of this strength may begin now. The largest permitted strength
+        is the level plus the rise in `LATE_NS`. Give ``open_ppb`` if the level is known."""
         with self.lock:
             most_ppb = LEEWAY_PPB
             if self._begun:
@@ -125,11 +128,11 @@ class Ramp:
             return strength_ppb <= most_ppb
 
     def note(self, ppb: int, strength_ppb: int, claimed_ns: int, lasting_ns: int) -> None:
-        """Record a written sequence, whose passes take ``lasting_ns``. If the level is above its
-        intensity, ``ppb``, the level falls to that. From then the level rises at most to the
-        strength of the sequence."""
+        """Record a written sequence of intensity ``ppb``, whose passes take ``lasting_ns``. A
+        higher level falls to this intensity. While the passes are delivered, the level rises at
+        most to ``strength_ppb``."""
         with self.lock:
-            # When a sequence arrives, the board finishes its current pass and drops repetitions.
+            # When a sequence arrives, the board finishes the current pass and drops later ones.
             now_ns, open_ppb = self.open_at(claimed_ns)
             gone_ns = max(0, now_ns - self._since_ns)
             left_ns = self._left_ns - gone_ns
@@ -186,14 +189,13 @@ class SafetyGate:
     limits : SafetyLimits
         Limits of every sequence.
     clock : Clock, optional
-        Clock of the display. Without it, for checks without a board, the times stated in sequences
-        count.
+        Clock of the display. Checks without a board use the times of the sequences instead.
     """
 
     def __init__(self, limits: SafetyLimits, clock: Clock | None = None) -> None:
         self.limits: SafetyLimits = limits
         self.ramp: Ramp = Ramp(limits.ramp_ns, clock)
-        """Ramp by which sequences are planned, and checked again before they are written."""
+        """Ramp that limits planned sequences, and sequences that are about to be written."""
         self.session: int = 0
         """Number of the present session; boards reject sequences of other sessions."""
         self._clock = clock
@@ -211,7 +213,7 @@ class SafetyGate:
         return self._exposure.net_pc
 
     def restart(self) -> None:
-        """Restart the ramp within the session; the next sequence may have time 0 again."""
+        """Restart the ramp in the same session. Times of sequences may start at 0 again."""
         self.ramp.restart()
         self._time_ns: int | None = None
         self._noted: ScanSequence | None = None  # last written sequence
@@ -224,7 +226,7 @@ class SafetyGate:
             return 0 if self._clock is None else self._exposure.net_rest_ns(self._clock.now_ns())
 
     def begin_session(self) -> None:
-        """Start a session with zero intensity and dose; the last second of pulses still counts."""
+        """Start a session: ramp and dose begin at zero. Limits per second count earlier pulses."""
         now_ns = None if self._clock is None else self._clock.now_ns()
         self._exposure.begin_session(now_ns)
         self.session += 1
@@ -289,14 +291,9 @@ class SafetyGate:
         return proved.sequence
 
     def repeated(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
-        """Return a proved sequence with a later start, for a repetition timed by the host or after
-        a wait.
-
-        Raises
-        ------
-        SafetyError
-            If the start is later than the repetitions and `WAITS_NS` allow.
-        """
+        """Return a proved sequence with the later start ``due_ns``. Use this if the host times the
+        repetitions, or if the board was not ready. Raises SafetyError if the delay is too large
+        (see `WAITS_NS`)."""
         period_ns = 1000 * proved.sequence.period_us
         latest_ns = proved.due_ns + (proved.times + 4) * period_ns + WAITS_NS
         if due_ns > latest_ns:
@@ -309,7 +306,7 @@ class SafetyGate:
         return later
 
     def note(self, proved: ProvedSequence) -> None:
-        """Record that a proved sequence was written. Its parts and repetitions count once."""
+        """Record that a proved sequence was written. Repeated calls for one sequence count once."""
         sequence = proved.sequence
         if sequence is not self._noted:
             self._noted = sequence
@@ -343,8 +340,8 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
             fits = len(plain) == slots
         if not fits:
             raise SafetyError(
-                f"{name} is {plain.dtype} {plain.shape}, must be {kind} in {dimensions} "
-                f"dimension(s), {slots} slots",
+                f"{name} is {plain.dtype} {plain.shape}, must be {kind} with {dimensions} "
+                f"dimension(s) for {slots} slots",
                 limit=name,
             )
         # Arrays backed by bytes are read-only.
@@ -358,5 +355,5 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
     try:
         intensity = float(value)
     except OverflowError:
-        raise SafetyError("intensity is too large to be a number", limit="intensity") from None
+        raise SafetyError("intensity is too large: give 0 to 1", limit="intensity") from None
     return ScanSequence(**fields, intensity=intensity)

@@ -47,7 +47,7 @@ class SafetyLimits:
     current_ma, pulse_us, charge_uc : float
         Limits of one pulse at one electrode.
     rate_hz, duty : float
-        Sequences per second, and share of the time with current.
+        Largest number of sequences per second, and largest share of the time with current.
     ramp_s : float
         Shortest time from zero to full intensity.
     full_ma : float
@@ -57,7 +57,7 @@ class SafetyLimits:
     electrode_ma : tuple of float, optional
         Largest current of each electrode.
     area_mm2 : float or tuple of float
-        Areas of electrodes; by default a disc of 1 mm.
+        Areas of electrodes; by default that of a disc with a diameter of 1 mm.
     threshold_ma : float or tuple of float, optional
         Detection thresholds; by default half of ``full_ma``. Pulses of at least half a threshold
         count as perceptible.
@@ -76,7 +76,7 @@ class SafetyLimits:
     Raises
     ------
     SafetyError
-        If a limit is not a positive number, or above the project's ceilings.
+        If a limit is not a positive number, or is above the project's ceiling.
     """
 
     __repr__ = one_line
@@ -149,7 +149,7 @@ class SafetyLimits:
         )  # fmt: skip
 
     def on(self, output: Output | None) -> "SafetyLimits":
-        """Return these limits for a board with this output, which may have a single source."""
+        """Return these limits, with `one_source` set if the output of the board has one source."""
         if output is None or output.kind == "weighted" or self.one_source:
             return self
         return replace(self, one_source=True)
@@ -236,7 +236,7 @@ class SafetyLimits:
 
     @cached_property
     def faint_ua(self) -> NDArray[np.int64]:
-        """Limit of the recharge current, (E,) µA, see `recharge_most_ua`."""
+        """Largest recharge current of each electrode, (E,) µA (see `recharge_most_ua`)."""
         return self._unmasked(recharge_most_ua(np.array(self._thresholds)))
 
     @property
@@ -246,8 +246,8 @@ class SafetyLimits:
 
 
 def _check(name: str, value: float, least: float, most: float) -> None:
-    """Raise SafetyError unless a limit is from ``least`` to ``most``. The value 0.0 is an error;
-    with an int as ``least``, the limit must be an int."""
+    """Raise SafetyError unless a limit is from ``least`` to ``most``. If ``least`` is 0.0, the
+    limit must be above zero. If ``least`` is an int, the limit must be an int."""
     if isinstance(least, int):
         fits = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
         fits, words = fits and least <= value <= most, "a whole number, at least"
@@ -296,14 +296,15 @@ _SENTENCES = {
     "vibration": "vibration has {value} values: give one for each of {allowed} electrodes",
     "vibrates": "a vibration of {value:g} must be from 0 to the intensity of the sequence, "
     "{allowed:.3f}",
-    "rate_hz": "a period of {value} µs must be from {allowed} µs, by limits.rate_hz, to one minute",
+    "rate_hz": "a period of {value} µs is not allowed: use at least {allowed} µs (limits.rate_hz) "
+    "and at most one minute",
     "period_us": "slots and recharge phase take {value} µs, longer than the period of {allowed} "
     "µs: lower the rate",
     "duty": "current flows {value:.0%} of the time, above the limit of {allowed:.0%}: lower the "
     "rate",
     "pulse_us": "a pulse width of {value} µs must be above 0 and at most {allowed:g} µs",
-    "discharge_us": "slot {slot}: a discharge of {value} µs is below {allowed} µs, so charge would "
-    "remain and add to that of the next pulse",
+    "discharge_us": "slot {slot}: a discharge of {value} µs is too short to remove the charge of a "
+    "pulse: use {allowed} µs or more",
     "site": "site {value} is not an electrode: the last electrode is {allowed}",
     "balance": "slot {slot} is out of balance by {value} µA: currents must sum to {allowed}",
     "current_ma": "slot {slot}, electrode {electrode}: {value:.3f} mA is above the limit of "
@@ -315,24 +316,24 @@ _SENTENCES = {
     "electrode, {allowed:g} µC: lower the current or the pulse width",
     "claimed_ma": "the strongest current is {value:.3f} mA, but the stated intensity allows "
     "{allowed:.3f} mA: lower the current, or state a higher intensity",
-    "recharge": "a recharge phase needs slots before it, currents of {allowed} electrodes and a "
-    "width: leave the phase out",
+    "recharge": "the recharge phase is incomplete: give slots before it, {allowed} currents and a "
+    "width, or leave the phase out",
     "recharge_us": "the recharge phase takes {value} µs, must take from 1 to {allowed} µs",
     "recharge_balance": "the recharge phase is out of balance by {value} µA: currents must sum to "
     "{allowed}",
-    "recharge_ua": "the recharge phase has {value} µA at electrode {electrode}: for its width at "
-    "most {allowed} µA are allowed",
+    "recharge_ua": "electrode {electrode}: a recharge current of {value} µA is above {allowed} µA, "
+    "the limit for a phase of this width",
     "recharge_ma": "the total current of the recharge phase is {value:.3f} mA, above the limit of "
     "{allowed:g} mA",
-    "takes_back": "electrode {electrode}: the recharge phase passes {value:g} µC, and may only "
-    "reduce the net charge: pass from 0 to {allowed:g} µC",
+    "takes_back": "electrode {electrode}: a recharge phase may only reduce the net charge: its "
+    "charge is {value:g} µC, and must be between 0 and {allowed:g} µC",
     "passes": "{value} sequences would be delivered within a second, and limits.rate_hz allows "
     "{allowed}: send sequences less often",
-    "pulses_hz": "electrode {electrode}: {value:g} perceptible pulses are above the limit for the "
-    "checked time, {allowed:g}: lower the rate",
-    "mean_ma": "electrode {electrode}: {value:g} µC are above the limit for the checked time, "
-    "{allowed:g} µC: lower the rate",
-    "net_ma": "electrode {electrode}: the net charge of a second would be {value:g} µC, above the "
+    "pulses_hz": "electrode {electrode}: {value:g} perceptible pulses are above the limit of "
+    "{allowed:g} for the checked time: lower the rate",
+    "mean_ma": "electrode {electrode}: {value:g} µC are above the limit of {allowed:g} µC for the "
+    "checked time: lower the rate",
+    "net_ma": "electrode {electrode}: the net charge in a second would be {value:g} µC, above the "
     "limit of {allowed:g} µC: lower the rate, or add recharge phases",
     "order": "the sequence has time {value} ns, which is not after the previous sequence: the time "
     "must be {allowed} ns or later",
@@ -349,7 +350,7 @@ _LIMITS = {
     "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
     "order": "time_ns",
 }  # fmt: skip
-"""`SafetyError.limit` of the messages above, where it differs from the key of the message."""
+"""`SafetyError.limit` for each key of `_SENTENCES` that is not itself the name of the limit."""
 
 
 def refusal(

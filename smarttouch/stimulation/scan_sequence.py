@@ -1,4 +1,4 @@
-"""Scan sequence, which holds all pulses of one frame, and timing constraints of boards.
+"""Scan sequences (all pulses of one frame), and timing constraints of boards.
 
 The currents of slots can be sums of quantized kernels, each times an amplitude. Weights are int16,
 scaled to a peak of 32,767 in each kernel; amplitudes are in quarters of a µA. `KernelLists` defines
@@ -41,9 +41,9 @@ def unsupported_reason(profile: Profile) -> str | None:
 
 PER_UA = 4  # amplitudes are in quarters of a µA
 PEAK = 32_767  # largest magnitude of a kernel's weights
-SHIFT = 17  # a full weight, 2^15, times the amplitude of one µA, 4, is 2^17
+SHIFT = 17  # weight times amplitude, divided by 2^17, is the current in µA
 _HEAD = struct.Struct("<HH")
-_SHORTEST_GAP = 3  # number of zeros from which a new run takes fewer bytes
+_SHORTEST_GAP = 3  # smallest number of zeros between runs; fewer zeros are stored in a run
 _OFFSET = 1 << 30  # larger than the total current of any slot, µA; a multiple of 2^16
 
 Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
@@ -78,7 +78,7 @@ class KernelTable:
         sites: list[NDArray[np.intp]] = []
         points: dict[Afferent, int] = {}
         sharing: dict[Afferent, int] = {}
-        # Kernels for shared slots come first, as a board may not have space for all.
+        # Kernels for shared slots come first, as a board may not have space for all kernels.
         for first, kernels in ((sharing, shared), (points, every)):
             for afferent in sorted(kernels):
                 first[afferent] = sum(map(len, parts))
@@ -101,9 +101,9 @@ class KernelTable:
 class KernelLists:
     """Slots as lists of kernels with amplitudes, and the resulting currents.
 
-    In a slot, weights times amplitudes are added over kernels, then cumulatively over electrodes.
-    The cumulative sums are rounded to µA, halves upward. The current of an electrode is its rounded
-    sum minus that of the electrode before it.
+    For each electrode of a slot, weight times amplitude is added up over kernels. Cumulative sums
+    over electrodes are then rounded to µA, halves upward. The current of an electrode is its
+    rounded sum minus the rounded sum of the electrode before it.
     """
 
     table: KernelTable
@@ -125,7 +125,7 @@ class KernelLists:
         scaled *= amplitude.astype(np.float64)[:, None]
         if len(scaled) > len(first) - 1:
             scaled = np.add.reduceat(scaled, first[:-1], axis=0)
-        # The offset makes sums positive, so truncation rounds down; 16-bit differences cancel it.
+        # Truncation rounds down only if sums are positive: add an offset, which int16 drops again.
         scaled += _OFFSET + 0.5
         rounded = scaled.astype(np.int64).astype(np.int16)
         current_ua = rounded.copy()
@@ -155,8 +155,8 @@ def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
     peak = np.abs(kernels).max(axis=1, keepdims=True, initial=0)
     carried = np.cumsum(kernels * (PEAK / np.where(peak > 0, peak, 1)), axis=1)
     carried[:, -1:] = 0
-    # Round halves upward: rounded to even, the peak of (-0.5, 1, -0.5) would become 32,768. First
-    # remove errors of double precision, which are far below the sixth decimal.
+    # Round halves upward. Rounding to even would give (-0.5, 1, -0.5) a peak of 32,768, too large
+    # for int16. First remove errors of double precision, which are far below the sixth decimal.
     rounded = np.floor(carried.round(6) + 0.5)
     return np.diff(rounded, axis=1, prepend=0).astype(np.int16)
 
@@ -164,8 +164,8 @@ def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
 def kept_kernels(
     weights: NDArray[np.int16], sites: NDArray[np.uint16], room: float, most: int
 ) -> tuple[bytes, int]:
-    """Encode kernels, (K, E), and sites, (K,), for storage on a board. Return the bytes, and the
-    number of kernels that fit ``room`` bytes, at most ``most``."""
+    """Encode the first kernels, (K, E), and their sites, (K,), for storage on a board: at most
+    ``most`` kernels in ``room`` bytes. Return the bytes and the number of encoded kernels."""
     parts, size = [b""], _HEAD.size
     for record in _records(weights[:most], sites):
         if size + len(record) > room:
@@ -177,7 +177,7 @@ def kept_kernels(
 
 
 def _records(weights: NDArray[np.int16], sites: NDArray[np.uint16]) -> Iterator[bytes]:
-    """Yield each kernel as bytes: its site, and runs of weights without long gaps of zeros."""
+    """Yield each kernel as bytes: its site and its runs of weights, without long gaps of zeros."""
     for kernel, site in zip(weights, sites.tolist(), strict=False):
         active = np.flatnonzero(kernel)
         if not len(active):
@@ -205,8 +205,8 @@ def largest_amplitude(
 class SelectivityReport:
     """Selectivity of each slot.
 
-    For shared slots, values are proved bounds that include rounding. For single points they are
-    those of the kernel. Activation is relative to the slot's weakest target, scaled to level 1.
+    For shared slots, values are proved bounds that include rounding. For slots with one point, they
+    are the values of its kernel. All are relative to the slot's weakest target, scaled to level 1.
 
     Attributes
     ----------
@@ -240,13 +240,13 @@ class ScanSequence:
     ----------
     current_ua : ndarray, (S, E) int16, µA
         Current of each electrode in each slot; **positive is cathodic**, negative is anodic, and an
-        electrode at zero is insulated. On boards with one source, values are planned shares.
+        electrode at zero is insulated. A board with one source may divide the total differently.
     width_us : ndarray, (S,) uint16, µs
         Pulse width of each slot.
     discharge_us : ndarray, (S,) uint16, µs
         Duration of the short circuit after each pulse.
     site : ndarray, (S,) uint16
-        Electrode above the point that each slot stimulates; the first one in a shared slot.
+        Electrode above the stimulated point of each slot; in a shared slot, of the first point.
     period_us : int, µs
         Duration of the sequence.
     intensity : float, in [0, 1]
@@ -316,7 +316,7 @@ class ScanSequence:
 
 
 def peak_pc(current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
-    """Return the largest charge of a pulse, pC, in slots of (S, E) µA and (S,) µs."""
+    """Return the largest charge of a pulse, pC, for currents, (S, E), and widths, (S,)."""
     if not current_ua.size:
         return 0
     longest_us = int(width_us.max())
@@ -348,11 +348,11 @@ class ScanTiming:
         width_us: float = 0.0,
         discharge_us: float = 0.0,
     ) -> int:
-        """Return the shortest period that the board can make and that is at least ``least_us``
-        and, if ``slots`` is given, the duration of the scan.
+        """Return the shortest period, at least ``least_us``, that the board can make.
 
-        ``width_us`` and ``discharge_us`` are means over slots. For an integer rate of f Hz, the
-        period is 1e6/f rounded up, so that ``round(1e6 / period)`` is f.
+        If ``slots`` is given, a scan of this number of slots must also fit into the period. In this
+        case ``width_us`` and ``discharge_us`` are means over slots. For an integer rate of f Hz,
+        the period is 1e6/f rounded up, so that ``round(1e6 / period)`` is f.
         """
         if slots is not None:
             taken = electrodes if self.every_electrode else slots
@@ -361,7 +361,7 @@ class ScanTiming:
         period = math.ceil(least_us)
         if not self.whole_hz or period <= 1:
             return period
-        # the largest integer rate whose period is not shorter
+        # the largest integer rate that has at least this period
         rate_hz = 999_999 // (period - 1)
         if not rate_hz:
             raise ScheduleError(

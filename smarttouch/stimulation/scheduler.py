@@ -41,8 +41,9 @@ from smarttouch.stimulation.sequence_limits import (
 from smarttouch.stimulation.slots import FrameSlots, PointSlots, Slots, constant_us, joined
 
 WINDOW_US = 1_100_000
-"""Window of the planned net charge: 1.1 s for a second, as boards may count in tenths of it."""
-GUARD_PC = 0.95 * NET_PC  # largest planned net charge of any number of latest passes
+"""Time over which plans limit the net charge, µs. The limit is for 1 s, but boards that count in
+tenths of a second can include up to 1.1 s."""
+GUARD_PC = 0.95 * NET_PC  # largest planned net charge of the last N passes, for any N
 _MEAN_PC = PLANNED * NET_PC
 _FREE_PC = NET_PC / 2
 _MOST_PC = 0.99 * NET_PC
@@ -50,16 +51,16 @@ _MOST_PC = 0.99 * NET_PC
 Array = NDArray[np.float64]
 
 SLOWEST = 0.2
-"""Share of the full rate at the lightest touch of a hard object: 10 of 50 Hz, the slowest pulses in
-the paper's experiments (Section III-B.2)."""
-_ON_TIME = 0.25  # delay, as a share of the interval, above which a class restarts its time grid
+"""Share of the full pulse rate at the lightest touch of a hard object. It reduces 50 Hz to 10 Hz,
+the lowest rate in the paper's experiments (Section III-B.2)."""
+_ON_TIME = 0.25  # largest delay, in pulse intervals, with which a class keeps its time grid
 _SLOWEST_HZ = 0.1
 
 
 def force_gate(force_n: float, law: ForceLaw) -> float:
     """Return the intensity at a finger force, in [0, 1].
 
-    It is 0 below the contact force and 1 above the full force; in between it is a linear or
+    Intensity is 0 below the contact force and 1 above the full force. In between it is a linear or
     logarithmic function of force (paper, Section IV-B). A force of NaN means no contact.
     """
     if not force_n > law.contact_n:
@@ -72,7 +73,7 @@ def force_gate(force_n: float, law: ForceLaw) -> float:
 
 
 def rate_share(pressure: float, softness: float) -> float:
-    """Return the share of the full pulse rate at a pressure, in [0, 1] as from `force_gate`.
+    """Return the SAI pulse rate at a pressure in [0, 1], as a share of the full rate.
 
     The firing rate of SAI afferents rises strongly with pressure on a hard object, and little on a
     soft one. In the paper, a constant rate under a moving finger felt soft (Section III-B.2). With
@@ -84,8 +85,9 @@ def rate_share(pressure: float, softness: float) -> float:
 def rates_of(
     profile: Profile, afferents: tuple[Afferent, ...], rate_hz: float | None, timing: ScanTiming
 ) -> dict[Afferent, float]:
-    """Return the pulse rate of each class, Hz: `rate_hz` or the profile's rate for one class, the
-    profile's two rates for RA with SAI. Mode color has no rates, as stimuli set the times."""
+    """Return the pulse rate of each class, Hz. A single class has `rate_hz` or the profile's rate.
+    RA and SAI together have the profile's two rates. In mode color, the stimuli set the times of
+    pulses, and the result is empty."""
     pulse, limits = profile.pulse, profile.limits
     rates_hz = {afferents[0]: pulse.rate_hz if rate_hz is None else rate_hz}
     if Afferent.PC in afferents and len(afferents) > 1:
@@ -114,9 +116,9 @@ def rates_of(
 class PulseRates:
     """Timetable of pulses, with a regular time grid for each class.
 
-    Pulses of several classes go into one sequence if they are less than `merge_us` apart, the
-    shortest period of a sequence. `rates_hz` are rates at full pressure; at lower pressure the SAI
-    rate is lower, depending on `softness` (see `rate_share`).
+    `merge_us` is the shortest period of a sequence. Pulses of several classes that are less than
+    `merge_us` apart go into one sequence. `rates_hz` are rates at full pressure. The SAI rate falls
+    at lower pressure, depending on `softness` (see `rate_share`).
     """
 
     def __init__(
@@ -162,31 +164,34 @@ class PulseRates:
 
 
 class _Pass(NamedTuple):
-    """Planned pass: end of its slots, net charge of electrodes, (E,), and its largest magnitude."""
+    """Planned pass of a sequence."""
 
-    end_us: float
-    most_pc: float
-    net_pc: Array
+    end_us: float  # end of the slots
+    most_pc: float  # largest magnitude in `net_pc`
+    net_pc: Array  # net charge of each electrode, (E,)
 
 
 class NetPlan:
     """Planner of periods that keep the net charge of any second below its limit.
 
-    If passes with net charges of one sign would exceed the limit at their rate, they are slowed
-    evenly, beginning when half of the limit is used. After a change of the image, passes may wait.
+    Net charges of the same sign add up. If they would exceed the limit at the requested rate, the
+    periods become longer as soon as half of the limit is used, so that all passes slow down evenly.
+    After a change of the image, a pass can wait until earlier passes leave the window.
     """
 
     def __init__(self, electrodes: int) -> None:
         self._passes: deque[_Pass] = deque()
         self._sum_pc = np.zeros(electrodes)
-        self._at_most_pc = self._newest_at_most_pc = 0.0  # upper bounds: all, and latest passes
+        # Upper bounds of net charge: of all passes in the window, and of the last N passes (any N).
+        self._at_most_pc = self._newest_at_most_pc = 0.0
 
     def next_period_us(
         self, net_pc: Array, time_us: float, period_us: int, busy_us: int
     ) -> float | None:
-        """Add a pass from `time_us`, with net charge, (E,) pC, and slots that take `busy_us`.
-        Return its shortest period, at least `period_us`. Return None, without adding the pass, if
-        it would exceed the net charge of a second."""
+        """Plan a pass that begins at `time_us`. Return the shortest period of this pass, which is
+        at least `period_us`. `net_pc`, (E,), is the net charge of the pass, and its slots take
+        `busy_us`. Return None, and plan nothing, if a second would exceed the limit of net charge.
+        """
         passes = self._passes
         while passes and passes[0].end_us <= time_us - WINDOW_US:
             _, gone_pc, gone_net_pc = passes.popleft()
@@ -210,15 +215,14 @@ class NetPlan:
         if carried_pc > _FREE_PC and carried_pc * WINDOW_US > _MEAN_PC * span_us:
             mean_pc = carried_pc / count
             if mean_pc < _MEAN_PC:
-                # Count one pass more than a second holds, as its borders can cut passes.
+                # Count one more pass, because the window can also include parts of passes.
                 needed_us = max(needed_us, WINDOW_US / 1.1 * mean_pc / (_MEAN_PC - mean_pc))
             if carried_pc + mean_pc < GUARD_PC:
                 # Spread the remaining charge evenly until the first passes leave the window.
                 left_us = WINDOW_US - span_us
                 needed_us = max(needed_us, left_us * mean_pc / (GUARD_PC - carried_pc))
         if self._newest_at_most_pc + most_pc > GUARD_PC:
-            # Leave capacity for another pass with this charge: wait until enough passes have left
-            # the window.
+            # Wait until the window has room for another pass with the same charge.
             newest = self._newest(net_pc).max(axis=1)
             room = max(0, bisect_right(np.maximum.accumulate(newest).tolist(), GUARD_PC) - 1)
             if room < count:
@@ -227,30 +231,31 @@ class NetPlan:
         return needed_us
 
     def _newest(self, net_pc: Array) -> Array:
-        """Return the net charge (magnitude) of this pass plus the latest 0 to N, (N + 1, E)."""
+        """Return magnitudes, (N + 1, E). Row n: net charge of this pass and the last n passes."""
         passes = (earlier.net_pc for earlier in reversed(self._passes))
         return np.asarray(np.abs(np.cumsum([net_pc, *passes], axis=0)))
 
 
 @dataclass
 class SchedulerContext:
-    """State shared by the schedulers of one run."""
+    """State that all schedulers of one run share."""
 
     sharing: SlotPolicy = NO_SHARING
     makers: dict[Afferent, PointSlots | FrameSlots] = field(default_factory=dict)
     """Slot makers, by class."""
     table: KernelTable | None = None  # quantized kernels, if slots are sums of them
-    net: NetPlan | None = None  # planner of net charge; None with recharge phases
+    net: NetPlan | None = None  # limits net charge; None with recharge phases
 
 
 class ScanScheduler:
     """Converter of tactile images to sequences of at most one slot for each active point (paper,
     Section IV-A, Fig. 19).
 
-    `rate_hz` is the rate of a single class; several classes have the profile's rates. Softness, in
-    [0, 1], reduces the effect of force on the SAI rate. If `vibrated`, mechanical vibrators
-    stimulate PC, without current. `net_slowed` and `net_emptied` count sequences that got a longer
-    period or no slots, to limit net charge. `asked_us` is the last requested period.
+    `rate_hz` is the rate of a single class. Several classes have the profile's rates. `softness`,
+    in [0, 1], reduces the effect of force on the SAI rate. If `vibrated`, mechanical vibrators
+    stimulate PC, and this class gets no current. `asked_us` is the last requested period. To limit
+    net charge, some sequences get a longer period (counted by `net_slowed`) and others lose all
+    slots (counted by `net_emptied`).
     Raises ScheduleError if the rate or the pulses are impossible, or if the bank drives a masked
     electrode.
     """
@@ -319,9 +324,9 @@ class ScanScheduler:
 
         Extends the requested period if the slots do not fit. At zero intensity there are no slots.
         Intensity is lowered until strength (`strength_ppb`) is at most ``allowed``, in [0, 1]. If
-        currents then round to zero, larger first steps of the ramp are tried. The SAI rate follows
-        pressure. If the image has a period, each active class pulses once in it. Raises
-        ScheduleError if the limits forbid that period, or if a class cannot be stimulated.
+        all currents then round to zero, larger strengths are tried, up to `MOST_STEP_NS`. The SAI
+        rate follows pressure. If the image has a period, each active class pulses once per period.
+        Raises ScheduleError if the limits forbid this period or a class cannot be stimulated.
         """
         if image.period_us is None:
             due, self.asked_us = self._rates.due(image.time_ns, pressure)
@@ -416,8 +421,8 @@ class ScanScheduler:
         return tuple(active)
 
     def _require_exposure_of_all(self) -> None:
-        """Raise ScheduleError if all points of a frame together, each in its own slot, exceed the
-        limits of pulses and charge."""
+        """Raise ScheduleError if a frame in which every point is active, each in its own slot,
+        exceeds the limits of pulses and charge."""
         sums = np.zeros((3, self._electrodes))
         for maker in self._makers.values():
             if isinstance(maker, PointSlots):
@@ -431,7 +436,7 @@ class ScanScheduler:
 
 def _overexposed(needed_us: int) -> ScheduleError:
     return ScheduleError(
-        f"the points of one frame use up an electrode's limit of pulses or charge for "
-        f"{needed_us / 1000:.0f} ms, and at most {BURST_US / 1000:.0f} ms are allowed: lower "
-        "perception.comfort_ratio or pulse.width_us, or choose another mode"
+        f"the limits of pulses and charge require {needed_us / 1000:.0f} ms for one frame, and at "
+        f"most {BURST_US / 1000:.0f} ms are allowed: lower perception.comfort_ratio or "
+        "pulse.width_us, or choose another mode"
     )

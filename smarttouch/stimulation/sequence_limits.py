@@ -22,18 +22,19 @@ from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, decimal, ref
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 STRENGTH = 4
-"""Largest ratio of a sequence's strength to its relative charge: its largest pulse charge over that
-of a full pulse. With the shipped kernels, the faintest gray at full intensity has a relative charge
-of 0.39, so 3 would be sufficient; 4 leaves a margin for sensitive sites."""
+"""Largest ratio of the strength of a sequence to its relative charge (the largest charge of a pulse
+divided by the charge of a full pulse). With the shipped kernels, the faintest gray at full
+intensity has a relative charge of 0.39. For this gray, a ratio of 3 would be sufficient. A ratio of
+4 leaves a margin for sensitive sites."""
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62
-MOST_RECHARGE_US = 20_000  # one period at 50 Hz (our choice)
-MOST_RECHARGE_PC = 2_000_000  # per electrode: four of the strongest pulses (our choice)
+MOST_RECHARGE_US = 20_000  # longest recharge phase: one period at 50 Hz (our choice)
+MOST_RECHARGE_PC = 2_000_000  # largest recharge of an electrode: 4 strongest pulses (our choice)
 BURST_US = round(1e6 * BURST_S)
 PER_PULSE = 1_000_000
 PER_PC = round(1000 * CEILING_PULSES_HZ / (1e6 * CEILING_MEAN_MA))
-"""Integer weights of a perceptible pulse and of a pC of charge. With them, both sums have the same
-limit of `MOST_PER_US` per microsecond."""
+"""Integer weights of one perceptible pulse and of 1 pC. With these weights, the sum of pulses and
+the sum of charge have the same limit, `MOST_PER_US` in each microsecond."""
 MOST_PER_US = round(CEILING_PULSES_HZ)
 NET_PC = round(1e9 * CEILING_NET_MA)  # largest net charge of an electrode in a second
 PLANNED = 0.9  # share of a limit that schedulers use; the rest is a margin for jitter
@@ -43,16 +44,16 @@ _LAST_NS = WINDOW_NS - 1
 
 Charge = NDArray[np.float64]  # (E,) signed pC: integers below 2^53
 Sums = NDArray[np.float64]
-"""(3, E): perceptible pulses × `PER_PULSE`; charge, pC, × `PER_PC`; and signed charge, pC, positive
-cathodic. All are integers far below 2^53, so double precision is exact."""
+"""Three sums for each electrode, (3, E): perceptible pulses × `PER_PULSE`, pC × `PER_PC`, and the
+net pC, positive cathodic. The integers are far below 2^53, so double precision is exact."""
 
 
 def add_up(
     current_ua: NDArray[np.int16], width_us: NDArray[np.uint16], felt_ua: NDArray[np.float32]
 ) -> tuple[Sums, NDArray[np.float64], NDArray[np.float64]]:
-    """Return the sums over slots, the currents, and their magnitudes, both (S, E) float64.
+    """Return the `Sums` of the slots, ``current_ua`` as float64, (S, E), and its magnitude, (S, E).
 
-    S must be above 0. Widths are (S,). Pulses of ``felt_ua``, (E,), or more are perceptible.
+    There must be a slot. Pulses of ``felt_ua``, (E,), or more count as perceptible.
     """
     currents, widths = current_ua.astype(np.float64), width_us.astype(np.float64)
     magnitudes = np.abs(currents)
@@ -64,9 +65,9 @@ def add_up(
 def strength_ppb(limits: SafetyLimits, ppb: int, peak_pc: int) -> int:
     """Return the strength of a sequence in parts per billion.
 
-    Strength is the stated intensity, ``ppb``, clipped to a range. The lower bound is ``peak_pc``,
-    the largest charge of a pulse, relative to a full pulse. The upper bound is `STRENGTH` times the
-    lower bound.
+    Strength is the stated intensity, ``ppb``, clipped to a range. The lower bound is the largest
+    charge of a pulse, ``peak_pc``, divided by the charge of a full pulse. The upper bound is
+    `STRENGTH` times the lower bound.
     """
     full, parts = limits.full_ratio
     share = -(-peak_pc * PPB * parts // (full * limits.width_whole_us))
@@ -77,7 +78,7 @@ class PassLoad(NamedTuple):
     """Load of one pass of a sequence on each electrode."""
 
     sums: Sums  # including the recharge phase
-    recharge_pc: NDArray[np.float64] | None  # (E,), recharge phase, positive cathodic
+    recharge_pc: NDArray[np.float64] | None  # (E,) charge of the phase, positive cathodic
     busy_us: int  # duration of slots and recharge phase
     strength_ppb: int  # see `strength_ppb`; 0 without current
     peak_ua: int  # strongest current
@@ -109,13 +110,13 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
         charge_pc = magnitude_ua * width_us.astype(np.float64)[:, None]
         _prove_each("charge_uc", charge_pc, limits.charge_pc, 1_000_000)
         peak_pc = int(charge_pc.max())
-    # If others lack contact, a single electrode carries the complete charge of the source.
+    # If all others lack contact, one electrode carries the complete charge of the source.
     if limits.one_source and (total_ua * width_us).max() > 2 * limits.source_pc:
         slot = int((total_ua * width_us).argmax())
         source_uc = total_ua[slot] * float(width_us[slot]) / 2e6
         raise refusal("source", source_uc, limits.charge_uc, slot)
     full, parts = limits.full_ratio
-    room = (limits.electrodes + 2) * parts * PPB  # rounding error of the balancing electrode
+    room = (limits.electrodes + 2) * parts * PPB  # tolerance for rounding: E / 2 + 1 µA
     if peak_ua > (most_ua := (2 * full * ppb + room) // (2 * parts * PPB)):
         raise refusal("claimed_ma", peak_ua / 1000, most_ua / 1000)
     recharge_pc = None
@@ -127,7 +128,7 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
 
 
 def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int, int]:
-    """Return the duration of slots and recharge phase, and the smallest and largest width, µs.
+    """Return the duration of slots and recharge phase, and the shortest and longest pulse, µs.
 
     Raises SafetyError unless numbers, times and lengths are within their ranges.
     """
@@ -167,7 +168,7 @@ def _prove_vibration(vibration: NDArray[np.float32], intensity: float, electrode
     """Raise SafetyError unless each electrode has a vibration from 0 to the intensity."""
     if vibration.shape != (electrodes,):
         raise refusal("vibration", len(vibration), electrodes)
-    # Compare in double precision, like the intensity. Comparisons with NaN are false.
+    # Convert to double precision, the type of the intensity. NaN fails the comparison.
     wide = vibration.astype(np.float64)
     if not ((wide >= 0) & (wide <= intensity + 1e-6)).all():
         worst = wide[np.abs(wide - intensity / 2).argmax()]
@@ -175,8 +176,8 @@ def _prove_vibration(vibration: NDArray[np.float32], intensity: float, electrode
 
 
 def _prove_recharge(sequence: ScanSequence, limits: SafetyLimits) -> None:
-    """Raise SafetyError if the recharge phase exceeds a limit; `Exposure` checks that it only
-    returns charge."""
+    """Raise SafetyError if the recharge phase exceeds a limit. `Exposure` checks that the phase
+    only returns charge."""
     current_ua, width_us, most_ua = sequence.recharge_ua, sequence.recharge_us, limits.faint_ua
     if current_ua is None or current_ua.shape != most_ua.shape or not sequence.slots:
         raise refusal("recharge", np.nan, limits.electrodes)
@@ -241,7 +242,7 @@ class _Pass(NamedTuple):
 
 
 class _Sent(NamedTuple):
-    """Accepted sequence, whose first pass is in `Exposure._window`."""
+    """Sequence that `Exposure` accepted. Its first pass is in `Exposure._window`."""
 
     first: _Pass
     period_ns: int
@@ -249,10 +250,9 @@ class _Sent(NamedTuple):
     flows: bool
 
     def cut_short(self, now_ns: int) -> tuple[int, list[_Pass], int]:
-        """Return how a new sequence ends the repetitions: its start, after the current pass; the
-        repetitions that have begun, except those long ago; and the number of repetitions that will
-        not begin."""
-        # The first pass will be delivered, even if it has not begun yet.
+        """Return the effect of a new sequence at ``now_ns``: when the new sequence can start, which
+        repetitions began recently, and how many repetitions the board drops."""
+        # The board delivers the first pass even if it has not begun at `now_ns`.
         first, period_ns = self.first, self.period_ns
         begun = max(1, min(self.times, (now_ns - first.start_ns) // period_ns + 1))
         delays_ns = [
@@ -269,14 +269,14 @@ class _Sent(NamedTuple):
 class Exposure:
     """Dose limits: running sums over the last second and over the session, by the display's clock.
 
-    Times of passes are computed, as a board finishes each pass before it begins the next one.
+    The times of passes are computed: a board finishes each pass before it begins the next one.
     """
 
     def __init__(self, limits: SafetyLimits) -> None:
         self._limits = limits
         self._most_of_session = limits.session_mc * 1e9 * PER_PC
         self._most_session_ns = floor(decimal(limits.session_s) * 10**9)
-        # largest number of passes in a second, including late ones that catch up
+        # largest number of passes in a second, including late passes that catch up
         rate_hz = decimal(limits.rate_hz)
         self._most_passes = ceil(rate_hz * (WINDOW_NS + LATE_NS) / WINDOW_NS) + 1
         # passes with any part in the last second or in the future
@@ -297,7 +297,7 @@ class Exposure:
         return np.asarray(self._session[2], np.int64)
 
     def begin_session(self, now_ns: int | None) -> None:
-        """Reset the dose. The last second still counts, with the repetitions begun by now."""
+        """Reset the dose. Passes that have begun still count in the limits of a second."""
         if now_ns is not None and self._last is not None:
             for scan in self._last.cut_short(now_ns)[1]:
                 self._window.append(scan)
@@ -311,15 +311,15 @@ class Exposure:
         """Forget the passes of the last second because time restarts; the session continues."""
         self._last = None
         self._window.clear()
-        # Upper bounds of the load of the last second, and of the net charge (× `PER_PC`) of any
-        # number of latest passes. Exact sums are needed only when a bound exceeds its limit.
+        # Upper bounds: of the sums of the last second, and of the net charge (× `PER_PC`) of the
+        # last N passes, for any N. Exact sums are computed only if a bound exceeds its limit.
         self._second_at_most = self._net_at_most = 0.0
 
     def net_rest_ns(self, now_ns: int) -> int:
-        """Return the time, ns, until a new session can use half of the limit of net charge.
+        """Return the time, ns, until half of the limit of net charge is free again.
 
-        Plans of a new session do not include pulses of the old session. With less than half of
-        the limit left, the gate could reject planned sequences.
+        A new session plans without the pulses of the old session. If less than half of the limit
+        were free, the gate could reject the planned sequences.
         """
         recent = [scan for scan in reversed(self._window) if scan.end_ns > now_ns - WINDOW_NS]
         if not recent or self._second_at_most <= PER_PC * NET_PC / 2:
@@ -329,14 +329,11 @@ class Exposure:
         return recent[over[0]].end_ns + WINDOW_NS - now_ns if len(over) else 0
 
     def enter(self, now_ns: int, period_us: int, times: int, load: PassLoad, flows: bool) -> None:
-        """Check and add the passes of a sequence that may begin now. Time must not go back. The
-        sequence ends the repetitions of the previous one. If ``flows``, it has slots, and its time
-        counts toward the session.
+        """Check the dose limits with a new sequence, and add its passes to the sums.
 
-        Raises
-        ------
-        SafetyError
-            With the limit and the electrode.
+        The new sequence ends the repetitions of the previous sequence. ``flows`` is True if the new
+        sequence has slots. Only then, its duration counts toward the limit of the session.
+        ``now_ns`` must not go back. Raises SafetyError with the limit and the electrode.
         """
         sums, period_ns, last, window = load.sums, 1000 * period_us, self._last, self._window
         burst_us, largest = min(period_us, BURST_US), float(np.maximum.reduce(sums[:2], axis=None))
@@ -357,7 +354,7 @@ class Exposure:
             carried_pc = session[2] - times * sums[2] + slots_pc
             _check_recharge(carried_pc, load.recharge_pc, sums[2], times)
         first = _Pass(start_ns, start_ns + 1000 * load.busy_us, sums, largest)
-        # Check the passes that begin before the first one leaves the window of a second.
+        # Check the passes that begin while the first pass is in the window of one second.
         checked = min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
         net_at_most = min(self._net_at_most, self._second_at_most)
         most = checked * largest + (len(repeated) * repeated[0].most if repeated else 0)
@@ -387,9 +384,9 @@ class Exposure:
     def _check_second(
         self, now_ns: int, first: _Pass, checked: int, period_ns: int, repeated: list[_Pass]
     ) -> float:
-        """Raise SafetyError if any second would exceed a limit with ``checked`` new passes, one
-        period apart, and ``repeated`` passes of the previous sequence. Return an upper bound of the
-        net charge (× `PER_PC`) of any number of the latest earlier passes."""
+        """Raise SafetyError if any second would exceed a limit. Count ``checked`` new passes, one
+        period apart, the ``repeated`` passes of the previous sequence, and older passes. Return an
+        upper bound of the net charge (× `PER_PC`) of the last N old passes, for any N."""
         recent = [scan for scan in (*self._window, *repeated) if scan.end_ns > now_ns - WINDOW_NS]
         passes = sum(scan.start_ns > now_ns - WINDOW_NS for scan in recent) + 1
         if passes > self._most_passes:
@@ -415,10 +412,9 @@ class Exposure:
 
 
 def _check_recharge(before_pc: Charge, recharge_pc: Charge, net_pc: Charge, times: int) -> None:
-    """Raise SafetyError unless a recharge phase only returns charge that its electrodes carry, both
-    in the first and in the last pass; all (E,) pC."""
+    """Raise SafetyError if a recharge phase moves the net charge of an electrode away from zero, or
+    past zero. Check the first and the last pass. All arrays are (E,) pC."""
     for carried_pc in (before_pc, before_pc + (times - 1) * net_pc)[: min(times, 2)]:
-        # The phase may return at most the carried charge, with the opposite sign.
         over_pc = np.abs(carried_pc + recharge_pc) + np.abs(recharge_pc) - np.abs(carried_pc)
         if over_pc.any():
             at = int(over_pc.argmax())

@@ -44,22 +44,23 @@ class Slots(NamedTuple):
 
 
 _PROOF_SPACING_MM = 0.5
-"""Smallest node spacing for the proofs of independent sites, which are 25 times faster than with
-0.1 mm and have the same results for the shipped arrays."""
+"""Smallest node spacing of the skin model for the proofs of independent sites. At 0.1 mm the proofs
+take 25 times longer and have the same results for the shipped arrays."""
 
 _NONE = np.empty(0, np.intp)
 _ROUNDING = 0.99
-"""Share of a bound that proofs use; the rest is a margin for rounding, down to the intensity
-`FrameSlots.certain_from`."""
+"""Share of each selectivity bound that proofs use. The rest is a margin for rounding, sufficient at
+intensities from `FrameSlots.certain_from`."""
 
 
 class FrameSlots:
     """Maker of slots in which independent sites share a slot.
 
-    A shared slot is a sum of kernels, any subset of which keeps the profile's bounds on off-target
-    and spill. Points without such a proof get separate slots. So do all points at intensities below
-    `certain_from`, which are too low to be felt: rounding could exceed a bound there. Raises
-    ScheduleError if the board has a single source, or if the profile does not limit total current.
+    A shared slot is a sum of kernels. Each subset of its kernels is proved to keep the profile's
+    bounds on off-target and spill. Points without a proof get separate slots. Below the intensity
+    `certain_from`, all points get separate slots, because rounding could exceed a bound; these
+    intensities are too low to be felt. Raises ScheduleError if the board has a single source, or if
+    the profile does not limit total current.
     """
 
     def __init__(self, profile: Profile, bank: KernelBank, afferent: Afferent) -> None:
@@ -70,7 +71,7 @@ class FrameSlots:
             _coarse(profile), afferent, full_wish(profile, kernels, bank.receptor[afferent])
         )
         frames, count = profile.frames, len(kernels)
-        # Request slightly less activation than at level 1, which saves current.
+        # Request slightly less activation than at level 1, to save current.
         self._aim = 1 - AIM * frames.uneven
         faintest = profile.threshold_ma / profile.full_ma
         sets = proved_sets(
@@ -83,7 +84,7 @@ class FrameSlots:
         self.certain_from: float = self._certain.least(
             FrameBounds(frames.other, frames.spill, frames.uneven)
         )
-        """Intensity from which all shared slots keep the bounds, including rounding."""
+        """Lowest intensity at which rounded currents of all shared slots keep the bounds."""
         self._figures = lru_cache(maxsize=1)(self._certain.figures)
         self._most_ma = profile.total_ma - self._certain.total_ua / 1000
         self._shared_ma = np.concatenate(
@@ -93,7 +94,7 @@ class FrameSlots:
         self._owner = np.repeat(np.arange(len(sets)), [len(proved.sites) for proved in sets])
         self._totals_ma = np.concatenate([np.empty(0), *(proved.totals_ma for proved in sets)])
         points_ma = kernels * np.minimum(profile.full_ma, judge.full_ma)[:, None]
-        # kernels for shared slots, then those for single points
+        # kernels for shared slots, then kernels for single points
         self._kernels_ma = np.concatenate([self._shared_ma, points_ma])
         self._kernel_sites = np.concatenate([self._sites, np.arange(count)])
         self._peaks_ma = np.abs(self._kernels_ma).max(axis=1)
@@ -119,15 +120,15 @@ class FrameSlots:
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
         """Return slots and their selectivity, for the activation of a class, (E,), at an intensity.
 
-        A point gets the activation that its kernel alone would cause, within ``frames.uneven`` of
-        the profile. That kernel carries the threshold current times intensity at the faintest
-        activation, and the comfort level times intensity at full activation. Currents are integer
-        µA that sum to zero in each slot. Masked electrodes have no slot.
+        For the faintest activation, a kernel carries its threshold current times intensity; for
+        full activation, its comfort level times intensity. In a shared slot, a point is activated
+        as by its own kernel alone, with a relative deviation up to ``frames.uneven``. Currents are
+        integer µA that sum to zero in each slot. Masked electrodes have no slot.
         """
         asked = activation if intensity > 0 else 0 * activation
         if self._perceived_at is not None:
             asked = np.append(asked, np.float32(0))[self._perceived_at]
-        # Shared slots multiply levels by `_aim`: divide here, so that the faintest points are felt.
+        # Compensate the factor `_aim` of shared slots below, so that faint points are still felt.
         level = (self._range * asked + self._faintest) * (asked > 0) / self._aim
         level = np.minimum(level, 1.0, out=level)
         kernel, points = self._shared(level) if intensity >= self.certain_from else (_NONE, [])
@@ -156,7 +157,7 @@ class FrameSlots:
         do = np.empty((2, count), np.float32)
         owner = self._owner.take(kernel.take(first[:shared]))
         do[:, :shared] = self._figures(intensity).take(owner, axis=1)
-        # Reports are relative to level 1: scale off-target and spill of fainter points.
+        # Reports are relative to level 1, so multiply the values of single points by their level.
         np.multiply(self._points_do.take(alone, axis=1), alone_level, out=do[:, shared:])
         site = self._kernel_sites.take(kernel.take(first[:-1])).astype(np.uint16)
         proof = SelectivityReport(np.array(points, np.uint16), *do)
@@ -164,8 +165,8 @@ class FrameSlots:
 
     def _shared(self, level: Array) -> tuple[NDArray[np.intp], list[int]]:
         """Return the kernels of shared slots, slot after slot, and the number of kernels in each
-        slot. In each set, the strongest kernel comes first. It goes to the first slot whose total
-        current then stays within the limit."""
+        slot. In each set of independent sites, start with the strongest kernel. Put each kernel
+        into the first slot whose total current stays within the limit."""
         wanted = level.take(self._sites)
         active = wanted.nonzero()[0]
         below_zero_ma = -self._aim * wanted.take(active) * self._totals_ma.take(active)
@@ -198,7 +199,7 @@ def _coarse(profile: Profile) -> Profile:
 
 
 class PointSlots:
-    """Maker of slots with one kernel each; with a `table`, it uses the quantized kernels."""
+    """Maker of slots with one kernel each. If `table` is given, its quantized kernels are used."""
 
     def __init__(
         self,
@@ -244,7 +245,7 @@ class PointSlots:
             self._full = np.asarray(PER_UA * magnitude.max(axis=1), np.float32)
         self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
         self._range = 1 - self._faintest
-        # level of each site below which a switched current would round to zero
+        # smallest level of each site; with one source, no current may round to zero
         self._weakest_level = np.zeros(count, np.float32)
         if profile.output.kind != "weighted":
             least_ua = np.where(magnitude > 0, magnitude, np.inf).min(axis=1)
@@ -256,16 +257,15 @@ class PointSlots:
         self._in_index_order = in_index_order
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
-        """Return the slots for the activation of one class, (E,) in [0, 1], at an intensity in [0,
-        1].
+        """Return the slots of a class for its activation, (E,), at an intensity, both in [0, 1].
 
-        A point receives its threshold current times intensity at the faintest activation, and its
-        comfort level times intensity at full activation. Currents are integer µA that sum to zero
-        in each slot. The rounding remainder goes to the strongest electrode or, if that would
-        exceed its limit, is carried from electrode to electrode. Masked electrodes have no slot.
+        For the faintest activation, a point gets its threshold current times intensity; for full
+        activation, its comfort level times intensity. Currents are integer µA that sum to zero in
+        each slot. The strongest electrode takes the rounding remainder. If its limit does not allow
+        this, the remainder is carried from electrode to electrode. Masked electrodes have no slot.
         """
         if self._perceived_at is not None:
-            # The additional last entry means "perceived nowhere".
+            # The added zero is the activation of points that are perceived outside of the array.
             activation = np.append(activation, np.float32(0))[self._perceived_at]
         site = activation.nonzero()[0] if intensity > 0 else np.empty(0, np.intp)
         if not self._in_index_order:
@@ -326,8 +326,8 @@ def spread_order(count: int) -> NDArray[np.intp]:
 
 
 def perceived_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | None:
-    """Return the electrode at which each point of a class is perceived, (E,), or E if outside; None
-    if the profile does not shift the class (paper, Section III-B.4)."""
+    """Return the electrode at which each point of a class is perceived, (E,), or E outside of the
+    array. Return None if the profile does not shift the class (paper, Section III-B.4)."""
     shifts = profile.perception
     shift_mm = (shifts.ra_shift_mm, shifts.sai_shift_mm, shifts.pc_shift_mm)[afferent]
     if not any(shift_mm):
@@ -335,7 +335,7 @@ def perceived_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | Non
     place_mm = profile.electrodes.position_mm
     away_mm = np.abs(place_mm[:, None] + shift_mm - place_mm)
     nearest = np.hypot(*away_mm.transpose(2, 0, 1)).argmin(axis=1)
-    # A place belongs to an electrode if it is at most half a cell away.
+    # A shifted point belongs to an electrode if it is at most half a cell away.
     half_mm = np.array(profile.electrodes.cell_mm) / 2 + 1e-9
     here = (away_mm[np.arange(len(nearest)), nearest] <= half_mm).all(axis=1)
     return np.asarray(np.where(here, nearest, len(nearest)), np.intp)
