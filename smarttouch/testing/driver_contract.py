@@ -21,7 +21,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 SECOND = 10**9
 LATE_NS = 60 * SECOND  # delay after which sequences are dropped: long, as the machine may be busy
-LOCKED_S = 0.02  # pause of a driver for the action; a longer action waits for the driver's lock
+LOCKED_S = 0.02  # longest time that the driver's thread waits for the action, s
 NewBoard = Callable[[], Board]
 
 
@@ -134,7 +134,7 @@ class DriverContract:
     electrodes : int
         Number of electrodes of the board.
     cathodic : bool
-        Whether the board can drive cathodic currents; otherwise all are anodic.
+        Whether test sequences drive each site as a cathode; if False, as an anode.
     width_us, discharge_us, period_us : int, µs
         Timing of the test sequences.
     intensity, level_ua : float, int
@@ -175,7 +175,7 @@ class DriverContract:
         raise NotImplementedError("override make: return your driver, for these limits")
 
     def board(self, driver: Driver, limits: SafetyLimits) -> Board:
-        """Return the board of a driver; override it for another output or clock."""
+        """Return the board of a driver. Override this method for another output or clock."""
         # Without a finger, the limit of the user's total current does not apply.
         return Board(driver, limits, late_ns=LATE_NS, on_a_finger=False)
 
@@ -275,8 +275,8 @@ class DriverContract:
         assert self.calls.write.call_count == 5
 
     def test_what_the_device_is_sent_is_what_was_proved(self, new_board: NewBoard) -> None:
-        """Compare pulses with plans: each electrode as a site, slots of two electrodes, a recharge
-        phase, and repetitions."""
+        """Compare sent pulses with sequences. These use each electrode as a site, slots of two
+        electrodes, a recharge phase, and repetitions."""
         every, sent = list(range(self.electrodes)), [(self.sequence(0), 1)]
         with new_board() as board:
             can = board.capabilities
@@ -296,7 +296,7 @@ class DriverContract:
             wanted = []
             for sequence, times in sent:
                 wanted += planned_pulses(sequence, times)
-                # A newer sequence ends repetitions, so wait for the last one.
+                # A new sequence would end the repetitions, so wait for the last repetition.
                 if self.counts_passes:
                     board.send(sequence, times)
                     board.drain(5)
@@ -317,7 +317,7 @@ class DriverContract:
             time.sleep(0.02)
 
     def recharged_sequence(self, step: int) -> ScanSequence:
-        """Return one slot, and a recharge phase of 2 ms that returns most of the charge."""
+        """Return one slot and a recharge phase of 2 ms that returns most of its charge."""
         sequence, recharge_us = self.sequence(step, sites=[0]), 2000
         back_ua = abs(sequence.current_ua[0, -1]) * self.width_us // recharge_us
         recharge_ua = np.where(sequence.current_ua[0] < 0, back_ua, -back_ua).astype(np.int16)
@@ -325,7 +325,7 @@ class DriverContract:
         return replace(sequence, recharge_ua=recharge_ua, recharge_us=recharge_us)
 
     def masked_sequence(self, step: int, masked: int) -> ScanSequence:
-        """Return one slot that drives two electrodes, next to a masked one, against each other."""
+        """Return one slot that drives the two electrodes after ``masked`` against each other."""
         sequence = self.sequence(step, sites=[masked + 1])
         current_ua = np.zeros_like(sequence.current_ua)
         current_ua[0, [masked + 1, masked + 2]] = self.level_ua // 2, -(self.level_ua // 2)
@@ -333,7 +333,7 @@ class DriverContract:
 
     @pytest.mark.parametrize("what", ["send", "measure"])
     def test_a_stop_at_any_line_of_the_driver(self, new_board: NewBoard, what: str) -> None:
-        """Stop the board from another thread at a line of the driver; then nothing is sent."""
+        """Stop the board from another thread while a line runs. Then nothing more may be sent."""
 
         def call(board: Board) -> None:
             with contextlib.suppress(BoardError, SafetyError):

@@ -18,7 +18,7 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
 
 READS = 30  # largest number of reads in a test
-QUICKEST_S = 0.01  # limit of the fastest of several reads: a source must not wait
+QUICKEST_S = 0.01  # largest allowed duration of the fastest read; reads must not wait
 LARGEST_N = 100.0  # largest plausible finger force
 
 
@@ -37,8 +37,9 @@ class SourceContract(_Opened):
     Attributes
     ----------
     ends : bool
-        Whether the source ends within `longest_s` of the run's time.
+        Whether the source ends by itself.
     longest_s : float, s
+        Latest time of the end, if the source ends.
     step_s : float, s
         Time from one frame to the next.
     """
@@ -62,7 +63,7 @@ class SourceContract(_Opened):
             yield source
 
     def read(self, source: Source) -> list[Input]:
-        """Read the source until it ends, at most `READS` times; fail if an input changes later."""
+        """Read until the source ends, at most `READS` times. Fail if a read changes old inputs."""
         inputs: list[Input] = []
         copies: list[NDArray[Any]] = []
         time_ns = 0
@@ -81,7 +82,7 @@ class SourceContract(_Opened):
         return round(self.step_s * 1e9)
 
     def check(self, given: Input, first: Input, profile: Profile) -> None:
-        """Check that an input is valid for a run, and has the type and shape of the first."""
+        """Check that an input is valid for a run, and has the type and shape of ``first``."""
         assert isinstance(given, Frame)
         assert isinstance(first, Frame)
         assert given.image.dtype == np.uint8
@@ -154,7 +155,7 @@ class SourceContract(_Opened):
 class StimulusContract(SourceContract):
     """Contract tests of sources of stimuli: subclass as ``TestMine``, with `make`.
 
-    Tests read the source again after the period of a stimulus or, without one, after `step_s`.
+    The time to the next read is the period of the stimulus, or `step_s` if it has no period.
     """
 
     def lasts_ns(self, given: Input) -> int:
@@ -176,8 +177,7 @@ class StimulusContract(SourceContract):
             assert given.image.ndim == 2
 
     def check_same(self, one: Input, other: Input) -> None:
-        """Check that two reads of one stimulus have equal poses; the activation may differ, as it
-        can follow time."""
+        """Check that two reads of one stimulus have equal poses. Activation may change in time."""
         assert one.pose == other.pose
 
 
@@ -186,7 +186,7 @@ def _content(given: Input) -> NDArray[Any]:
 
 
 class ForceContract(_Opened):
-    """Contract tests of sources of finger force: subclass as ``TestMine``, with `make`."""
+    """Contract tests of force sensors: subclass as ``TestMine``, with `make`."""
 
     def make(self, profile: Profile) -> ForceSource:
         """Return a new source of force."""
