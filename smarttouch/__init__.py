@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from smarttouch.base import __version__ as __version__
 
 if TYPE_CHECKING:
-    from smarttouch.top_names import *  # noqa: F403, its names are those of this module
+    from smarttouch.top_names import *  # noqa: F403, this module has the same names
 else:
 
     def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""API for plug-ins that add boards, sources or force sensors, beyond the names in `smarttouch`."""
+"""API for plug-ins that add boards, sources or force sensors. More names are in `smarttouch`."""
 
 from smarttouch.base.errors import LineLostError as LineLostError
 from smarttouch.base.errors import SourceLostError as SourceLostError

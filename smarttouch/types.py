@@ -1,4 +1,4 @@
-"""Types for annotations, events and errors, beyond the names in `smarttouch`."""
+"""Types for annotations, events and errors. The other public names are in `smarttouch`."""
 
 from smarttouch.base.afferent import Mode as Mode
 from smarttouch.base.clock import Clock as Clock
