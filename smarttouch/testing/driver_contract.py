@@ -79,8 +79,8 @@ def assert_same_pulses(
 
 
 class AtLine:
-    """Context manager that starts an action in its own thread when a driver executes a line.
-    ``number`` counts executed lines of the driver's package from 0, without those of `Board`."""
+    """Context manager that starts an action in a new thread when a driver executes a line.
+    ``number`` counts the executed lines of the driver's package from 0, except those of `Board`."""
 
     thread: threading.Thread | None
 
