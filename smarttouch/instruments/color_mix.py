@@ -49,7 +49,7 @@ def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) ->
 
 
 def parse_places(profile: Profile, sites: str | None) -> NDArray[np.intp]:
-    """Parse electrodes such as 27,28,35-36, or the word all. None selects those of `disc`."""
+    """Parse electrodes: 27,28,35-36, the word all, or None for the electrodes of `disc`."""
     if sites is None:
         return disc(profile)
     if sites == "all":
@@ -82,13 +82,13 @@ def thinned(time_us: Times, least_us: int) -> Times:
 
 
 def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.intp]]]:
-    """Merge trains of pulses into sequences of ``least_us`` or more.
+    """Merge trains of pulses into sequences, each with a period of at least ``least_us``.
 
-    Return the start of each sequence and, for each train, the index of the sequence of each pulse.
-    A pulse that is due less than ``least_us`` / 2 after the start of the previous sequence joins
-    this sequence. Any other pulse starts a sequence, when it is due or when the previous sequence
-    ends. So no pulse moves by more than ``least_us`` / 2. Trains are (K,) int64, µs, ascending,
-    with distances of at least ``least_us`` minus 1 µs.
+    A train is (K,) int64, µs, ascending, with pulses at least ``least_us`` minus 1 µs apart. Return
+    the start of each sequence and, for each pulse of each train, the index of its sequence. A pulse
+    that is due less than half of ``least_us`` after the start of a sequence joins this sequence.
+    Any other pulse starts a sequence as soon as the pulse is due and the previous sequence has
+    ended. So no pulse moves by more than half of ``least_us``.
     """
     events = sorted(
         (pulse_us, row) for row, train in enumerate(trains) for pulse_us in train.tolist()
@@ -118,11 +118,11 @@ class Mixture:
     time_us: Times  # (R,) int64, µs: time of each stimulus, ascending
     drive: NDArray[np.float32]  # (R, 3) float32, in [0, 1]: drive of each class; 0 means no pulse
     sites: NDArray[np.intp]  # (S,): stimulated electrodes
-    electrodes: int  # E
+    electrodes: int  # number of electrodes (E)
     end_us: int  # end of the last stimulus
     least_us: int  # shortest period of a sequence with pulses of all classes
     ideal_us: dict[Afferent, Times]  # (K,) int64, µs: ideal time of each pulse of a class
-    carried: dict[Afferent, NDArray[np.intp]]  # (K,): index of the stimulus that has each pulse
+    carried: dict[Afferent, NDArray[np.intp]]  # (K,): index of the stimulus of each pulse
     left_out: tuple[Afferent, ...]  # classes that respond, but that the board cannot stimulate
     vibrated: bool  # whether the PC drive is the amplitude of a vibrator, held between stimuli
     answers: Mapping[Afferent, ReceptorResponse]  # response of each class to the trace
@@ -285,7 +285,7 @@ class ColorSource(StimulusSource):
         self._next += int(np.searchsorted(mixture.time_us[first:], due_us, side="right"))
         drive = mixture.drive[first : self._next].max(axis=0, initial=0.0)
         if mixture.vibrated and first == self._next > 0:
-            # The vibrator keeps its last amplitude.
+            # No stimulus is due, so the vibrator keeps its last amplitude.
             drive[Afferent.PC] = mixture.drive[first - 1, Afferent.PC]
         more = self._next < len(mixture.time_us)
         wait_us = int(mixture.time_us[self._next] if more else mixture.end_us) - now_us
@@ -301,7 +301,8 @@ def notes(mixture: Mixture) -> list[str]:
     if mixture.left_out:
         names = _names(mixture.left_out)
         sentences.append(
-            f"this board cannot stimulate {names} at these sites, although {names} would respond"
+            f"no pulses for {names}: {names} would respond to this vibration, but this board "
+            f"cannot stimulate {names} at these sites"
         )
     for afferent, ideal_us in mixture.ideal_us.items():
         spikes = len(mixture.answers[afferent].spike_s)

@@ -36,8 +36,7 @@ _ROUNDING_MM = 1.0  # distance by which the pointer can be outside of the textur
 
 
 class PageMotion(HandMotion):
-    """Motion of the pointer over the texture in the run's window, starting at the middle of the
-    texture."""
+    """Motion of the pointer over the texture in the run's window, from the texture's middle."""
 
     resolution_mm: float = 0.25  # about one pixel of the picture in the window
 
@@ -50,7 +49,7 @@ class PageMotion(HandMotion):
         shape = (max(1, round(high / pixel_mm)), max(1, round(wide / pixel_mm)))
         picture = Page(texture.draw(*corner, shape, pixel_mm), pixel_mm)
         self.sheet: Sheet = Sheet(1, picture, corner)
-        self.is_shown: bool = False  # whether a window shows the sheet
+        self.is_shown: bool = False  # whether the run's window shows the texture
         self.origin_mm: tuple[float, float] = middle
         # Replacing the tuple is atomic, so no lock is needed.
         self._place_mm = middle
@@ -71,18 +70,18 @@ class PageMotion(HandMotion):
 
 
 SLIDES = 1.5
-"""Lag, in mouse counts, of the filtered place behind a moving hand. It exceeds jitter by one count
-along both axes (1.4 counts from the middle), so jitter does not move the filtered place back."""
+"""Lag, in mouse counts, of the filtered place behind a moving hand. Jitter of one count along each
+axis is a motion of 1.4 counts, less than the lag, so jitter does not move the filtered place."""
 STICKS = 4.5
-"""Distance, in mouse counts, that a resting hand must move before the filter follows: the lag plus
-the jitter from end to end."""
-_ROUNDING = 1 + 1e-6  # tolerance for rounding errors in comparisons of distances
+"""Distance, in mouse counts, that a resting hand must move before the filtered place follows. It
+exceeds the sum of the lag (1.5 counts) and of jitter from end to end (2.8 counts)."""
+_ROUNDING = 1 + 1e-6  # factor that tolerates rounding errors when distances are compared
 
 
 class Deadband:
     """Filter with hysteresis that removes the jitter of a resting hand.
 
-    After the hand has rested for one read, jitter by one count (`resolution_mm`) along both axes
+    Once a read has found the hand at rest, jitter of one count (`resolution_mm`) along each axis
     does not change the filtered place. With a resolution of 0 the filter changes nothing.
     """
 
@@ -118,7 +117,7 @@ class TexturePicture(DeliveredDrawing):
         self._least, self._most = np.full(2, np.inf), np.full(2, -np.inf)
 
     def watch(self, sent: StepResult) -> None:
-        """Record the pose of a step and the extent of the motion."""
+        """Record the pose of a step, and extend the area over which the array has moved."""
         super().watch(sent)
         position_mm = (sent.input.pose.x_mm, sent.input.pose.y_mm)
         self._least, self._most = (
@@ -183,7 +182,7 @@ class MouseSource(StimulusSource):
         self,
         texture: Texture,  # texture under the hand
         motion: HandMotion,  # open motion; the source closes it
-        # result of `profile_for_reading`, so that images show the area under the array
+        # Result of `profile_for_reading`: images then show exactly the area under the array.
         profile: Profile,
         mode: Mode = Mode.RA,  # class to stimulate: RA, SAI or PC
         rate_hz: float = USUAL_RATE_HZ,  # frames per second
@@ -197,7 +196,7 @@ class MouseSource(StimulusSource):
             raise SourceError(message)
         words, most_hz = f"a rate of {rate_hz:g} frames a second", profile.limits.rate_hz
         require_within(SourceError, "rate_hz", rate_hz, SLOWEST_RATE_HZ, most_hz, words)
-        # Smaller of the rate that people can interpret and half of the frame rate.
+        # Limit of the pulse rate: what people can interpret, but at most half of the frame rate.
         self.fastest_hz: float = min(FASTEST_HZ, rate_hz / 2)
         self.duration_s: float | None = motion.duration_s
         self.knows_force: bool = motion.knows_force or press_n is not None
@@ -206,7 +205,7 @@ class MouseSource(StimulusSource):
         self.motion: HandMotion = motion
         self.pointer: PageMotion | None = motion if isinstance(motion, PageMotion) else None
         self.mode: Mode = mode
-        self.merged: int = 0  # ridges that passed an electrode in the same frame as another ridge
+        self.merged: int = 0  # ridges without a pulse, as another passed in the same frame
         self._electrodes = len(profile.electrodes)
         self._limit = PulseLimit(self._electrodes, self.fastest_hz)
         self._afferent: Afferent = mode.afferents[0]
@@ -247,7 +246,7 @@ class MouseSource(StimulusSource):
         )  # fmt: skip
 
     def drawing(self, profile: Profile, bank: KernelBank) -> TexturePicture:
-        """Return an empty drawing, in which a run with this source draws its responses."""
+        """Return an empty drawing, to which a run with this source adds the responses."""
         return TexturePicture(profile, bank, (self._afferent,), self.texture)
 
     def close(self) -> None:

@@ -34,8 +34,8 @@ _NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
 class HandMotion(Device, ABC):
     """Base class of sources of a hand's displacement.
 
-    `origin_mm`, valid from the first read on, is the start of the motion from the texture's top
-    left corner; None means its middle. If `knows_force`, `force_n` is the force at the last read.
+    After the first read, `origin_mm` is the start of the motion from the texture's top left corner
+    (None: the texture's middle). If `knows_force`, `force_n` is the force at the last read.
     """
 
     duration_s: float | None = None  # duration of the motion; None if endless
@@ -140,7 +140,7 @@ class SourceMotion(HandMotion):
             return None
         if self._first is None:
             self._first = frame.pose
-        # A stale frame does not tell whether the finger is still there.
+        # A stale frame does not show whether the finger still presses, so force is unknown.
         self.force_n: float = math.nan if frame.stale else frame.force_n
         return frame.pose.x_mm - self._first.x_mm, frame.pose.y_mm - self._first.y_mm
 
@@ -201,8 +201,8 @@ class SweepMotion(HandMotion):
         points = _round_trip(span_mm, lane_mm)
         if rounds * len(points) > _MOST_STROKES:
             raise SourceError(
-                f"{rounds} rounds of {len(points) // 2} lanes are more strokes than "
-                f"{_MOST_STROKES}: give fewer rounds or a smaller texture"
+                f"{rounds} rounds of {len(points) // 2} lanes are more than "
+                f"{_MOST_STROKES} strokes: give fewer rounds or a smaller texture"
             )
         self._table = _timed(np.vstack([points[:1], *[points[1:]] * rounds]), speed_mm_s)
         self.duration_s: float = float(self._table[-1, 0])

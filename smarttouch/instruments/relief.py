@@ -5,7 +5,7 @@ this module causes the same pulses on gratings and suits any image: **one pulse 
 (`grain_mm`) of motion over a raised area**. A place is raised if it is higher than the mean of its
 surroundings. Its depth is its distance to the edge of the raised area, at most half a grain. An
 electrode pulses where depth has a maximum along its path: in the middle of a ridge narrower than a
-grain, or half a grain inside a wide area. Then it pulses after each grain, also along ridges.
+grain, or half a grain inside a wide area. Within areas and along ridges, it pulses once per grain.
 """
 
 import math
@@ -34,7 +34,7 @@ from smarttouch.pages.prepared_page import print_text
 LETTER_MM = 12.0  # height of printed letters, with strokes wide enough for electrodes 2 mm apart
 _PRINTED_MM = 4.2  # height of the letters that `print_text` draws, ascender to descender
 _MARGIN_MM = 4.0
-_LEAST_RANGE = 7.65  # range of gray levels, of 255, up to which an image counts as flat
+_LEAST_RANGE = 7.65  # an image whose gray levels (0 to 255) span at most this range is flat
 
 
 class Heights(NamedTuple):
@@ -156,8 +156,8 @@ class Relief(Texture):
         """Return the depth of each place within a raised area, (H, W) mm."""
         half = self.grain_mm / 2
         margin = math.ceil(_AROUND * self.grain_mm / self.pixel_mm)
-        # Places outside of the map are low, but the mean of the surroundings includes copies of
-        # the edge there.
+        # No place outside of the map is raised. For the mean of the surroundings, however, the
+        # edge of the map continues outside.
         wide = cv2.copyMakeBorder(self.height, *(margin,) * 4, cv2.BORDER_REPLICATE)
         # Two box filters approximate a Gaussian, in a time that does not depend on their width.
         side = 2 * round(_AROUND * self.grain_mm / self.pixel_mm / 2) + 1
@@ -173,14 +173,14 @@ class Relief(Texture):
         return np.asarray(depth[inside].copy(), np.float32)
 
 
-_STROKE = 0.15  # smallest depth, in grains, at which an electrode pulses after a grain of motion
+_STROKE = 0.15  # smallest depth, in grains, for a pulse after each grain of motion
 _STEP = 1.25  # distance between samples along the path, in pixels of the map
 _MOST_SAMPLES = 64
 _FULL = 0.96
-"""Depth, relative to half a grain, that counts as full, because rounding and blur lower depths."""
+"""Depths above this share of half a grain count as full, because rounding and blur lower depths."""
 _LEAST_RISE = 0.5
-"""Smallest rise of depth to a crest, relative to the crest's depth. Smaller variations, as on a
-path along a crest, are not new crests."""
+"""A maximum is a crest if depth has risen by this share of the maximum since the last pulse. Other
+maxima, as on a path along a ridge, are ignored."""
 
 
 class ReliefFeeler:
@@ -198,14 +198,14 @@ class ReliefFeeler:
         self._least_mm = relief.pixel_mm / 2
         self._ground_mm = np.float32(_STROKE * relief.grain_mm)
         self._within_mm = relief.grain_mm / 2 - float(self._ground_mm)
-        """Distance from the place where depth reaches `_ground_mm` to the first pulse."""
+        """Motion from where depth reaches `_ground_mm` to the first pulse inside an area."""
         self._all = np.arange(len(position_mm))
         self._nothing = RidgeCrossing(np.zeros(len(position_mm), np.float32), 0)
         self._nothing.height.flags.writeable = False
         self.place(0.0, 0.0)
 
     def place(self, x_mm: float, y_mm: float) -> None:
-        """Set the place of the array's center; on raised areas, electrodes pulse a grain later."""
+        """Set the array's center. Electrodes on raised areas pulse after a grain of motion."""
         self._place = complex(x_mm, y_mm)
         x, y = self._on_map(np.array([self._place]))
         self._before = np.repeat(self._depth(x, y), 2, axis=0)
@@ -251,7 +251,7 @@ class ReliefFeeler:
             self._lowest = lowest[-1]
             return self._nothing
         self._lowest = np.where(pulsed, depth[-1], lowest[-1])
-        # Count motion beyond the place where a pulse was due toward the next pulse.
+        # Motion since the place where a pulse was due counts toward the next pulse.
         gone, grain_mm = places[-1] - self._pulsed, self._relief.grain_mm
         gone_mm = np.maximum(np.abs(gone), grain_mm)
         over = gone_mm - grain_mm < step_mm * (len(places) - 2)
@@ -268,7 +268,7 @@ class ReliefFeeler:
         """Return which electrodes passed a crest, the sample of their last crest, and the number of
         electrodes that passed more than one crest."""
         middle = depth[1:-1]
-        # A plateau is a crest only at its far end: on a wide plateau `_inside` causes the pulses.
+        # A plateau has its crest at the far end. Before the end, `_inside` causes the pulses.
         crest = (middle >= depth[:-2]) & (middle > depth[2:]) & (middle > self._least_mm)
         crest &= middle - lowest[1:-1] >= _LEAST_RISE * middle
         last = len(crest) - crest[::-1].argmax(axis=0)

@@ -112,7 +112,7 @@ def open_trace(text: str, seconds: float = 2.0) -> Trace:
 
 
 def _parse(text: str) -> tuple[str, list[float]]:
-    """Parse a part of a line into its kind and its values: frequency and amplitude, or force."""
+    """Parse a part of a trace; return its kind, and frequency and amplitude or force."""
     kind, _, rest = text.strip().lower().replace(" ", "").partition(":")
     matched = _GRAMMAR[kind].fullmatch(rest) if kind in _GRAMMAR else None
     if matched is None:
@@ -126,9 +126,9 @@ def _parse(text: str) -> tuple[str, list[float]]:
 
 
 SPAN_DB = 5.0
-"""Vibration level, relative to the threshold, from which drive is full (our choice). A tone of
-30 Hz at full RA drive just reaches PC's threshold, so it does not drive PC. From about this level
-on, an afferent fires in each cycle."""
+"""Smallest vibration level of full drive, relative to the threshold (our choice). From about this
+level on, an afferent fires in each cycle. A tone of 30 Hz with full RA drive does not exceed the
+threshold of PC, so it does not drive PC."""
 SAI_FORCE_N = 0.0013
 """Median threshold force of human SAI afferents (Johansson, Vallbo and Westling, Brain Res. 184,
 1980)."""
@@ -140,12 +140,12 @@ SAI_RATE_HZ = 50.0
 """Default SAI rate at full drive, as in ``pulse.sai_rate_hz``; at the threshold, SAI fires at a
 fifth of this rate."""
 _PAD_S = 1.0  # padding that joins a trace's end to its start for the cyclic Fourier transform
-_GAP_S = 0.05  # longest time below the threshold within one vibration, as between beats
+_GAP_S = 0.05  # longest time below the threshold within a vibration: between beats
 
 
 @dataclass(frozen=True, eq=False)
 class ReceptorResponse:
-    """Response of one class to a trace."""
+    """Response of one afferent class to a trace."""
 
     afferent: Afferent
     # (N,) float64, in [0, 1]: drive at each sample of the trace; 0 up to the threshold
@@ -224,15 +224,15 @@ def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
 
 
 def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int) -> Array:
-    """Return the samples of upward zero crossings of the real part while driven, one per cycle.
-    Phase is unwrapped across undriven stretches of up to ``gap`` samples."""
+    """Return the samples at which the real part crosses zero upward while driven, one per cycle.
+    An undriven stretch of up to ``gap`` samples does not interrupt the cycles."""
     turns = (np.unwrap(np.angle(turning)) + math.pi / 2) / (2 * math.pi)
     full_turns = np.floor(turns).astype(np.int64)
     on = np.flatnonzero(driven)
     if not len(on):
         return np.empty(0)
-    # Count only new maxima of the unwrapped phase, so that jitter around zero counts once. Offsets
-    # make the phase of each driven stretch start above that of the previous stretch.
+    # Count only new maxima of the phase, as jitter can cause several zero crossings in a cycle. An
+    # offset lifts the phase of each driven stretch above the maxima of the previous stretch.
     starts = on[np.diff(on, prepend=-gap - 1) > gap]
     stretch = np.cumsum(np.bincount(starts, minlength=len(driven))) - 1
     height = full_turns - full_turns[starts][stretch] + stretch * (2 * len(driven))

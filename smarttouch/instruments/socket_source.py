@@ -106,7 +106,7 @@ class SocketSource(Program):
         await asyncio.to_thread(self.put, pattern, stale_s)
 
     async def _answer(self, line: bytes, writer: asyncio.StreamWriter) -> None:
-        """Execute a request and answer it; a show is answered at its end."""
+        """Execute and answer a request. A show request is answered when the show ends."""
         answer: dict[str, Any] = {}
         try:
             asked = _parse(line)
