@@ -3,25 +3,25 @@
 ``docs/safety/limits.md`` names the source of each ceiling.
 """
 
-CEILING_MA = 5.0  # per electrode
-CEILING_TOTAL_MA = 10.0  # sum of all electrodes in a slot
+CEILING_MA = 5.0  # current of an electrode
+CEILING_TOTAL_MA = 10.0  # total current of all cathodes in a slot
 CEILING_PULSE_US = 200.0
-CEILING_CHARGE_UC = 0.5  # per pulse
-CEILING_DENSITY_UC_CM2 = 100.0  # per pulse
-CEILING_SHANNON_K = 1.75  # per pulse
-LEAST_DISCHARGE_US = 20  # after each pulse
+CEILING_CHARGE_UC = 0.5  # charge of a pulse
+CEILING_DENSITY_UC_CM2 = 100.0  # charge of a pulse per area of the electrode
+CEILING_SHANNON_K = 1.75  # Shannon's k of a pulse
+LEAST_DISCHARGE_US = 20  # shortest discharge after a pulse
 CEILING_RATE_HZ = 200.0  # sequences per second
 CEILING_DUTY = 0.8  # share of time in which current flows
-SHORTEST_RAMP_S = 0.5  # from zero to full intensity
-CEILING_PULSES_HZ = 1500.0  # perceptible pulses per second and electrode
-CEILING_MEAN_MA = 0.5  # mean of the current's magnitude, per electrode
-CEILING_NET_MA = 0.05  # mean of the signed current, per electrode
+SHORTEST_RAMP_S = 0.5  # shortest time from zero to full intensity
+CEILING_PULSES_HZ = 1500.0  # perceptible pulses of an electrode per second
+CEILING_MEAN_MA = 0.5  # mean magnitude of an electrode's current
+CEILING_NET_MA = 0.05  # net current of an electrode: mean of the signed current
 CEILING_AREA_MM2 = 400.0
 CEILING_ELECTRODES = 0xFFFF
-BURST_S = 0.04  # a sequence can deliver the charge that the mean limits allow in this time
+BURST_S = 0.04  # longest time over which the charge of one sequence is averaged
 CEILING_SESSION_S = 3600.0
-CEILING_SESSION_MC = 1800.0  # per electrode
-CEILING_USER_MA = 20.0  # sum over all displays of a user
+CEILING_SESSION_MC = 1800.0  # charge through an electrode in a session
+CEILING_USER_MA = 20.0  # total current of all displays of a user
 ADVISORY_RMS_MA_CM2 = 2.0
-"""Current density above which a run reports its density. IEC 60601-2-10 requires the operator's
-attention above 2 mA/cm² r.m.s. This is not enforced: electrodes of 1 mm always exceed it."""
+"""R.m.s. current density above which a run prints a note, as IEC 60601-2-10 requires the operator's
+attention above it. The run goes on, because electrodes of 1 mm always exceed 2 mA/cm²."""

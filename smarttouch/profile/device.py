@@ -158,8 +158,8 @@ class Frames(Table):
     """Bounds of slots that stimulate several points."""
 
     other: float = Field(default=0.3, gt=0, le=1)
-    """Largest activation of other classes, relative to the weakest target. A single SAI point on
-    the paper's line array reaches 0.30 with the paper's optimization."""
+    """Largest activation of a class other than that of the targets, relative to the weakest target.
+    A single SAI point on the paper's line array reaches 0.30 with the paper's optimization."""
     spill: float = Field(default=0.3, gt=0, le=1)
     """Largest spill: activation of the targets' class more than a pitch away from every target,
     relative to the weakest target."""
@@ -179,12 +179,12 @@ class PerceptThresholds(Table):
     comfort_ma: tuple[Positive, ...] | None = None
     """Measured comfort level of each electrode; by default ``threshold_ma`` × ``comfort_ratio``."""
     ra_shift_mm: tuple[Number, Number] = (0.0, 0.0)
-    """Shift from the stimulated point to the perceived place of RA, to the right and downward."""
+    """Shift from the stimulated point to the place where RA is perceived, right and down."""
     sai_shift_mm: tuple[Number, Number] = (0.0, 0.0)
-    """Shift from the stimulated point to the perceived place of SAI, to the right and downward."""
+    """Shift from the stimulated point to the place where SAI is perceived, right and down."""
     pc_shift_mm: tuple[Number, Number] = (0.0, 0.0)
-    """Shift from the stimulated point to the perceived place of PC, to the right and downward. PC
-    is perceived at the receptor, 1 to 3 mm toward the fingertip from the stimulated axon (paper,
+    """Shift from the stimulated point to the place where PC is perceived, right and down. PC is
+    perceived at the receptor, 1 to 3 mm toward the fingertip from the stimulated axon (paper,
     Section III-B.4)."""
 
 
@@ -230,8 +230,8 @@ class Skin(Table):
     sai_angles_deg: tuple[float, ...] = Field(min_length=1)
     """Directions of horizontal axons. SAI mode targets axons of the first direction."""
     node_spacing_mm: Positive
-    """Spacing of the nodes at which the design bounds off-target and spill: 0.1 in shipped
-    profiles, at most 0.25 for up to 200 electrodes. Slots with several points use at least 0.5."""
+    """Distance between nodes at which kernel design limits off-target and spill. Arrays of up to
+    200 electrodes need 0.25 or less. Slots with several points are checked at 0.5 or more."""
     ra_ending: Literal["passive", "active"] = "passive"
     """Whether the ending of a rising axon can fire; determines the polarity of RA mode."""
     internode_mm: Positive = 0.079

@@ -33,13 +33,13 @@ class ElectrodeArray:
     __repr__ = one_line
 
     position_mm: NDArray[np.float64]  # (E, 2) centers
-    # width and height of the cell of each electrode, which is also its aperture on the page
+    # Width and height of an electrode's cell: the area of the image that the electrode shows.
     cell_mm: tuple[float, float]
     pitch_mm: float  # distance to the nearest neighbor
     shape: Shape = "disc"
     # Annulus: outer and inner diameter; disc: diameter and 0; rectangle: width and height.
     size_mm: tuple[float, float] = (1.0, 0.0)
-    # Shape and size of each electrode, if not equal; `shape` and `size_mm` are those of the first.
+    # Shape and size of each electrode, if they differ; `shape` and `size_mm` are of electrode 0.
     own: tuple[tuple[Shape, tuple[float, float]], ...] | None = None
 
     def __post_init__(self) -> None:
@@ -260,7 +260,7 @@ class FreeLayout(Table):
         own_shapes, shape, size_mm = None, self.shape, self.size_mm
         if self.shapes is not None and self.sizes_mm is not None:
             own_shapes = tuple(zip(self.shapes, self.sizes_mm, strict=True))
-            # Concentric rings are as far apart as their center lines.
+            # For concentric rings, take the distance between their center lines.
             line = [
                 sum(size) / 4 if shape_name == "annulus" else 0.0 for shape_name, size in own_shapes
             ]

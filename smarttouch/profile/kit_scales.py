@@ -4,7 +4,7 @@ import math
 
 from smarttouch.base.errors import BoardError
 
-BAND = 0.3  # accepted relative deviation from the nominal scale
+BAND = 0.3  # largest accepted relative deviation of a scale from the nominal scale
 NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
 """Nominal current per DAC count of each board; on the kajimoto61, 4096 counts are 10 mA."""
 
@@ -13,18 +13,18 @@ def require_in_band(ratio: float, what: str) -> None:
     """Raise BoardError if the ratio of a scale to the nominal scale is not within 1 ± `BAND`."""
     if not abs(ratio - 1) <= BAND + 1e-9:
         raise BoardError(
-            f"{what} would be {ratio:.3g} times the nominal current, but boards differ from it by "
-            f"{100 * BAND:.0f} % at most: check units, connections, the resistor, and which board "
-            "this is, then measure again (smarttouch calibrate scale)"
+            f"{what} would be {ratio:.3g} times the nominal current, but a board's current differs "
+            f"from nominal by {100 * BAND:.0f} % at most: check the units, the connections, the "
+            "resistor and the type of board, then measure again (smarttouch calibrate scale)"
         )
 
 
 def measured_scale(
     kind: str, before_ua: float | None, volts: float, ohm: float, current_ma: float
 ) -> tuple[float, float | None]:
-    """Return the ratio of measured to expected current, and the scale corrected by this ratio, µA
-    per count. The measured current is the voltage across a resistor / its resistance. Without a
-    scale ``before_ua``, the corrected scale is None. Raises BoardError, see `require_in_band`."""
+    """Return the ratio of the current through a resistor to ``current_ma``, the expected current.
+    Return also the scale ``before_ua``, µA per count, times this ratio, or None if ``before_ua`` is
+    None. Raises BoardError, see `require_in_band`."""
     for what, value in (("volts", volts), ("ohm", ohm), ("current_ma", current_ma)):
         if not 0 < value < math.inf:
             raise BoardError(f"{what} {value:g} must be above 0 and finite")

@@ -31,7 +31,7 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
     if max(masked, default=0) >= count:
         yield UnfitError(
             f"output.masked lists {max(masked)}, but the array has electrodes 0 to {count - 1}: "
-            "remove it",
+            "remove it from the list",
             key="output.masked",
         )
     if count - len(masked) < 2:
@@ -82,7 +82,7 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
             key="perception.comfort_ma",
             electrode=index,
         )
-    # Comfort levels have single precision: a limit equal to the exact product must pass.
+    # Comfort levels are rounded to single precision, so tolerate a small excess over the limit.
     over = full_ma > np.multiply(np.inf if lowered is None else lowered, 1 + 1e-6)
     if lowered is not None and over.any():
         index = int(over.argmax())
@@ -194,10 +194,10 @@ class Profile(Table):
 
     @property
     def design_total_ma(self) -> float | None:
-        """Limit of a kernel's total current in the design, mA; None for a design without limit.
+        """Limit of a kernel's total current during kernel design, mA; None without a limit.
 
-        None if slots have a single point and the limit is the project's ceiling: `PointSlots` then
-        refuses a kernel above the ceiling.
+        The design has no limit if slots have a single point and only the project's ceiling applies.
+        `PointSlots` then refuses kernels above the ceiling.
         """
         total = self.limits.total_ma or CEILING_TOTAL_MA
         return total if self.shares or total < CEILING_TOTAL_MA else None
@@ -263,7 +263,7 @@ class Profile(Table):
 
         Notes
         -----
-        Of values for each electrode, the smallest applies to all; of impedances, the largest.
+        Electrodes get the smallest threshold, comfort level and limit, and the largest impedance.
         Masks, wiring, calibrations of the electrodes and defaults of commands are removed.
 
         Examples
@@ -385,7 +385,7 @@ def stricter(own: Profile, other: Profile) -> Profile:
     if lower.any():
         perception["comfort_ma"] = tuple(full_ma.tolist())
     if (threshold_ma < own.threshold_ma).any():
-        # By default comfort levels follow the thresholds, so state them explicitly.
+        # Without ``comfort_ma``, the comfort levels would change with the thresholds.
         perception |= {
             "threshold_ma": tuple(threshold_ma.tolist()),
             "comfort_ma": tuple(full_ma.tolist()),
@@ -395,6 +395,6 @@ def stricter(own: Profile, other: Profile) -> Profile:
     tables = {"limits": limits, "pulse": pulse, "perception": perception, "output": output}
     if all(table == getattr(own, name).model_dump() for name, table in tables.items()):
         return own
-    # By default `limits.total_ma` allows several points in a slot, so state `share` explicitly.
+    # Without ``share``, setting ``limits.total_ma`` would allow several points in a slot.
     frames = own.frames.model_dump() | {"share": own.shares}
     return own.model_copy(update={**tables, "frames": frames})

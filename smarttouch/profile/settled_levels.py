@@ -17,7 +17,7 @@ SETTLED_NS = 10_000_000_000  # a level that is not changed during this time of t
 
 
 class SettledLevel(Table):
-    """Entry of the log: comfortable level, its strongest current, and force and impedance then."""
+    """Comfortable level in the log, with the largest current, force and impedance at this level."""
 
     time: datetime
     mode: str
@@ -43,9 +43,9 @@ def read_levels(profile: Profile) -> list[SettledLevel]:
 
 
 class SettledLevels:
-    """Comfortable levels of earlier runs, which a run offers up to ``most``, and of this run.
+    """Offers of comfortable levels of earlier runs, up to ``most``, and log of the levels of a run.
 
-    An offered level has the strongest current of the earlier run, even if the profile has changed.
+    If the profile has changed, an offered level has the largest current of the earlier run.
     """
 
     def __init__(self, profile: Profile, most: float) -> None:
@@ -62,8 +62,8 @@ class SettledLevels:
     def note(
         self, time_ns: int, mode: str, level: float, force_n: float, observed: Sequence[Any] = ()
     ) -> str:
-        """Process a step, with measured sequences and their voltages, (S,) V. Return a sentence
-        that offers a level if a mode begins, otherwise an empty text."""
+        """Process a step; ``observed`` are measured sequences with voltages, (S,) V. Return an
+        offer if the mode has changed and has a level to offer, otherwise an empty text."""
         begins = mode != self._asked[0] and mode in self.offered
         for sequence, volts in observed:
             peak_ua = np.abs(sequence.current_ua.astype(np.float64)).max(axis=1, initial=1)

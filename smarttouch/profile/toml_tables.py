@@ -67,7 +67,7 @@ _KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
 _WHOLE_KINDS = ("bool", "int", "float", "str", "SlotPolicy")
 """Names of types that pydantic inserts between the keys of the file."""
 _NOT_OF_KIND = ("float_type", "tuple_type")
-"""Errors that pydantic reports for alternatives of a union that do not match."""
+"""Types of pydantic's errors for members of a union that do not match the value."""
 _MOST_IN_A_SENTENCE = 8
 
 _Error = TypeVar("_Error", bound=TableError)
@@ -89,7 +89,7 @@ def validated(kind: type[_Table], name: object, table: dict[str, Any]) -> _Table
 
 
 def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Error:
-    """Return an error that lists up to 8 problems of a file, and the number of further problems."""
+    """Return an error whose message lists up to 8 problems of a file and counts all others."""
     details = [*_complaints(error)]
     sentences = [words for words, _ in details[:_MOST_IN_A_SENTENCE]]
     if len(details) > len(sentences):
