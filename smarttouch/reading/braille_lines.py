@@ -41,7 +41,7 @@ class DocumentCells:
     pages: Pages | None = None
 
     def laid_out(self, columns: int | None, rows: int | None, indent: int = INDENT) -> Pages:
-        """Return pages of the given size; by default that of a BRF file, or 40 cells, 25 lines."""
+        """Return pages of a size; by default the pages of the BRF file, otherwise 40 x 25 cells."""
         if self.pages is not None and columns is None and rows is None:
             return self.pages
         columns, rows = COLUMNS if columns is None else columns, ROWS if rows is None else rows
@@ -69,13 +69,13 @@ def document_cells(source: ReadingMaterial, table: BrailleTable, progress: Note)
 
 @dataclass(frozen=True)
 class CellLayout:
-    """Layout of the dots of cells on a grid of electrodes; distances are in electrodes."""
+    """Layout of the dots of cells on a grid of electrodes."""
 
     rows: int
     columns: int
-    dot_x: int  # distance between columns of dots
-    dot_y: int  # distance between rows of dots
-    cell: int  # distance between cells
+    dot_x: int  # electrodes from one column of dots to the next
+    dot_y: int  # electrodes from one row of dots to the next
+    cell: int  # electrodes from one cell to the next
     eight: bool  # whether cells have eight dots, not six
     pitch_mm: tuple[float, float]  # pitch of the electrodes, across and down
     pixel_mm: float  # pixel size of drawn images
@@ -94,7 +94,7 @@ class CellLayout:
 
     @property
     def margin(self) -> int:
-        """Number of columns to the left of a cell in the middle of the array."""
+        """Number of columns of electrodes to the left of a cell that is centered on the array."""
         return (self.columns - self.dot_x - 1) // 2
 
     def line(self, cells: str, text: str = "") -> TouchLine:

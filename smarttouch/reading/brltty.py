@@ -32,7 +32,7 @@ from smarttouch.sources.source_contract import Pose, Sheet, Stimulus, StimulusSo
 
 LONGEST_LINE = 16_384  # longest message, bytes
 MOST_CELLS = 255
-USUAL_CELLS, USUAL_PORT = 20, 35752  # default port of BRLTTY's virtual driver
+USUAL_CELLS, USUAL_PORT = 20, 35752  # BRLTTY's virtual driver uses port 35752 by default
 _DOT_PX = 4  # side of a dot in the picture of a line
 REST_S = 0.3  # rest on the first cell after a jump
 _ACCEPT_S, _JOIN_S = 0.05, 1.0
@@ -91,7 +91,7 @@ class BrailleDisplaySource(StimulusSource):
     """Source of the cells that BRLTTY shows, with one electrode for each dot.
 
     After a change, cells are presented from the first new cell to the last, or from the cursor if
-    only the cursor moved. BRLTTY can disconnect and connect again; until then nothing is presented.
+    only the cursor moved. While BRLTTY is disconnected, nothing is presented.
 
     Parameters
     ----------
@@ -100,9 +100,9 @@ class BrailleDisplaySource(StimulusSource):
     profile : Profile
         Result of `profile_for_reading`.
     cells : int
-        Number of cells of the display that is reported to BRLTTY.
+        Number of cells that the display reports to BRLTTY.
     speed_mm_s : float, mm/s, optional
-        Speed of the cells; by default derived from the profile's pulse rate.
+        Speed of the cells under the finger; by default derived from the profile's pulse rate.
 
     Attributes
     ----------
@@ -231,7 +231,7 @@ class BrailleDisplaySource(StimulusSource):
         light = np.where(self._dots, 0, 255).astype(np.uint8)
         grey = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_NEAREST), np.uint8)
         top_mm = self._jumps * (rows * down + LINE_GAP_MM) - rows * down / 2
-        # Both counts only increase, so their sum changes with each jump and each update.
+        # `_jumps` and the update number never decrease, so a change of either changes the sum.
         number = self._jumps + self._taken.number
         return Sheet(number, Page(grey, across / _DOT_PX), (0.0, top_mm))
 
@@ -261,7 +261,7 @@ class BrailleDisplaySource(StimulusSource):
         image = cv2.resize(light, self._shape, interpolation=cv2.INTER_NEAREST)
         activation = np.zeros((len(Afferent), window.size), np.float32)
         activation[:] = window.ravel()
-        # In poses, each jump begins a new line of the sheet.
+        # In the coordinates of poses, each jump begins a new line below the previous line.
         across, down = layout.pitch_mm
         pose = Pose(
             (left + layout.columns / 2) * across, self._jumps * (layout.rows * down + LINE_GAP_MM)
@@ -298,7 +298,7 @@ class BrailleDisplaySource(StimulusSource):
             self._go_to(new)
 
     def _step(self) -> int:
-        """Return the text column in the middle of the array, at most `margin` past the end."""
+        """Return the column of dots in the middle of the array, at most `margin` past the end."""
         moved_s = max(0.0, self._since_s - REST_S)
         step = self._first * self.layout.cell + int(moved_s * self._columns_a_s + 1e-6)
         return min(step, self._dots.shape[1] + self.layout.margin)

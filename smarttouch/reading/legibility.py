@@ -46,7 +46,7 @@ _SAME_SIGNS = str.maketrans(
     | dict.fromkeys("‐‑‒–—―−", "-")
     | {"\N{SOFT HYPHEN}": ""}
 )
-"""Plain characters by their typographic variants."""
+"""Map from typographic variants of characters to plain characters."""
 
 
 def normalize(text: str) -> str:
@@ -56,8 +56,8 @@ def normalize(text: str) -> str:
     Quotation marks and dashes become plain ones, and white space, including line breaks, becomes
     single spaces. Upper and lower case are kept.
     """
-    # Translate before NFKC, because NFKC splits a single accent character, and again after NFKC,
-    # because it can create characters of `_SAME_SIGNS`.
+    # Translate before NFKC, because NFKC changes ´ to a space and a combining mark. Translate
+    # again after NFKC, because NFKC can create characters of `_SAME_SIGNS`.
     text = unicodedata.normalize("NFKC", text.translate(_SAME_SIGNS)).translate(_SAME_SIGNS)
     return " ".join(text.split())
 
@@ -116,7 +116,7 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
     """
     profile = reading.profile
     source = ReadingSource("a line", profile, iter([line]), reading.motion)
-    # Wait until the line and the end of the text are prepared, or frames depend on the CPU's speed.
+    # Have the line and the end of the text prepared, so that frames do not depend on CPU speed.
     source.line(1, wait=True)
     poses: dict[int, Pose] = {}
     meant: dict[int, NDArray[np.bool_]] = {}
@@ -162,8 +162,8 @@ _GAP = 0.45  # gap between lines for recognition, relative to their height
 class Legibility:
     """Legibility of letter shapes: error rates and texts recognized by Tesseract.
 
-    ``page_error_rate`` is that of the text recognized on the page itself; None if this text serves
-    as the true text.
+    ``page_error_rate`` is the error rate of the text recognized on the page itself. It is None if
+    the text recognized on the page serves as the true text.
     """
 
     character_error_rate: float
@@ -180,7 +180,7 @@ def legibility_of_shapes(
     truth: str | None = None,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Legibility:
-    """Deliver letter shapes, recognize their text in the pulses, and compare it with the truth.
+    """Simulate reading of letter shapes, recognize text from the pulses, and count the errors.
 
     By default, the true text is the text that Tesseract recognizes on the page. ``progress`` is
     called with the number of lines done and the total number of lines.
@@ -230,9 +230,9 @@ def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
 
 
 _PERIODS = 10
-"""Number of periods for which a letter is presented, as noise and refractoriness vary by period."""
+"""Number of periods for each letter, as noise and refractoriness vary the spikes by period."""
 _RAMP_US = MOST_STEP_NS // 1000
-"""Period of the sequences that raise the intensity: the longest that the ramp counts in full."""
+"""Period of sequences while intensity rises. In a longer period, it would not rise further."""
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ def letter_sequences(
     scan: str = "auto",
     intensity: float = 1.0,
 ) -> dict[str, tuple[ScanSequence, NDArray[np.bool_]]]:
-    """Return the scan sequence of each letter at the comfort level, and its electrodes, (E,)."""
+    """Return for each letter a scan sequence, and which electrodes show the letter, (E,)."""
     pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan=scan))
     force_n = profile.force.full_n
     period_us = round(1e6 / profile.pulse.rate_hz)
@@ -269,7 +269,7 @@ def letter_sequences(
         pipeline.restart_at_zero()
         level = 0.0
         while level < intensity and drawn.any():
-            # Intensity rises only with pulses, at the rate of the ramp.
+            # The ramp raises intensity only with pulses, so repeat the letter until `intensity`.
             step = pipeline.process(Stimulus(activation, time_ns, force_n, _RAMP_US), intensity)
             level, time_ns = step.sequence.intensity, time_ns + 1000 * _RAMP_US
         step = pipeline.process(Stimulus(activation, time_ns, force_n, period_us), intensity)
@@ -302,8 +302,8 @@ def spikes_and_letter(
     known: Mapping[str, Floats],
     periods: int = _PERIODS,
 ) -> tuple[NDArray[np.intp], str]:
-    """Return the spike counts, (A,), of ``periods`` repetitions of slots with drives (A, S), and
-    the best-matching letter; "" without spikes."""
+    """Repeat slots, with drives (A, S), for a number of ``periods``. Return the spike counts, (A,),
+    and the best-matching letter; "" without spikes."""
     model.reset()
     counts = np.sum([model.fire(slots, above).counts for _ in range(periods)], axis=0)
     places = model.finger.profile.electrodes.position_mm

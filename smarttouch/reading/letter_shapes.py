@@ -38,8 +38,8 @@ _GRADED = Tone(0.0, 1.0, prepared=True)
 _DRAWN = Tone(0.35, 0.35, prepared=True)
 """Tone curve of single letters, whose strokes are one cell wide."""
 UNKNOWN_LEVEL = 0.7
-"""Intensity, relative to the comfort level, at which simulated fingers read lines with the fewest
-errors, by the worse of two anatomies (`examples/studies/reading_pages.py`)."""
+"""Intensity for simulated fingers, relative to the comfort level. Of two anatomies, the worse makes
+the fewest errors at this intensity (`examples/studies/reading_pages.py`)."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Shapes:
     """Presentation of text as letter shapes, in lines of print."""
 
     graded: bool = False
-    """Whether activation is proportional to the ink in a cell, as simulations need."""
+    """Whether activation is proportional to the ink in a cell (for simulations), not 0 or 1."""
 
     @property
     def tone(self) -> Tone:

@@ -27,8 +27,9 @@ SETTLE_S = 0.75
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
 LONGEST_PAUSE_S = 3600.0
 LINE_GAP_MM = 4.0
-"""Gap between lines on the sheet of poses, where lines lie below each other."""
-AHEAD, BEHIND = 30, 60  # numbers of lines prepared in advance, and kept for going back
+"""Gap between lines in the coordinates of poses, where each line is below the previous line."""
+AHEAD = 30  # largest number of lines prepared in advance
+BEHIND = 60  # number of past lines that are stored for going back
 _JOIN_S, _AGAIN_S = 0.3, 0.1
 
 
@@ -118,7 +119,7 @@ class ReadingSource(OpticalSource):
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._prepare, args=(lines,), daemon=True)
         self._thread.start()
-        # Stop the thread before exit: the interpreter would abort if a library still runs on it.
+        # Stop the thread at exit: a thread that still runs library code aborts the interpreter.
         atexit.register(self._stop)
 
     @property
@@ -241,8 +242,7 @@ class ReadingSource(OpticalSource):
         self.index, self._line_s = index, 0.0
 
     def _go_on(self, beyond_mm: float) -> None:
-        """Go to the next line after the pause. An infinite pause does not apply to the last
-        line."""
+        """Go to the next line after the pause; skip an infinite pause after the last line."""
         pause_s = self._pause_s
         if pause_s == math.inf and self.line(self.index + 1) is None and self._is_over:
             pause_s = 0.0
@@ -264,7 +264,7 @@ class ReadingSource(OpticalSource):
     def _draw(self, line: TouchLine, x_mm: float, image: NDArray[np.uint8]) -> None:
         """Draw the image under the array, and the point that marks the start of the line.
 
-        Intensity rises only with delivered pulses. The point's pulses raise it before the text.
+        Pulses of the point raise the intensity before the text arrives.
         """
         rows, columns = self._shape
         left = x_mm / self._pixel_mm - columns / 2

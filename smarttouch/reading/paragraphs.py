@@ -14,12 +14,12 @@ from smarttouch.reading.recognition import Note
 _GAP = 1.35  # line distance, relative to the page's median, above which a paragraph begins
 _LARGER = 1.2  # ratio of x-heights above which two lines differ in size of print
 _INDENT = 0.8  # smallest indent of a paragraph, in x-heights
-_EVEN = 0.5  # tolerance of the right ends of full lines, in x-heights
-_SHORT = 0.15  # free share of a line above which it ends early, even before a lower-case letter
-_OPEN = 1 / 3  # share of lines ending early within a sentence that marks verse, addresses and lists
+_EVEN = 0.5  # largest difference between the right ends of full lines, in x-heights
+_SHORT = 0.15  # a line with a larger free share ends early, even before lower-case text
+_OPEN = 1 / 3  # smallest share of lines ending within a sentence in verse, addresses and lists
 _LONGEST_VERSE = 60  # longest full line, in characters, that counts as a line of verse
 _LEADERS = re.compile(r"(?:\s?[.·…‥•]){4,}\s*;?\s*(?=\S*\d\S*$|[ivxlc]{1,7}\W*$)")
-"""Leader dots before a page number or a price, in the same cell or the next."""
+"""Leader dots before a page number or a price, in the same cell of a table or the next."""
 _BLANK = re.compile(r"(?:_{3,}|(?:\s?[.…]){5,})\W*$")
 """Blank space to write in, as on forms, at the end of a line."""
 _BULLETS = r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]"
@@ -32,7 +32,7 @@ _HYPHENS = "-\u00ad\u2010\u2011\x02\ufffe¬"
 _AND = frozenset(["and", "or", "und", "oder", "bis", "bzw"])
 """Words before which a hyphen is kept, as in "pre- and post-war"."""
 _HYPHENATED = frozenset(["self", "well"])  # first parts of compounds that keep their hyphen
-_SAME_MM = 5.0  # tolerance for lines that repeat at the same height on several pages
+_SAME_MM = 5.0  # lines repeat only if their heights on two pages differ by less than this
 _HEAD_GAP = 1.15  # smallest distance from a running head to the text, in median line distances
 _MOST_HEADS = 4  # largest number of running heads; more repeated lines mean copies of a form
 
@@ -84,7 +84,7 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
         outer = (_repeated(line, same) for line in edge[: _MOST_HEADS + 1])
         labels = list(itertools.takewhile(bool, outer))
         if len(labels) > _MOST_HEADS:
-            # On copies of a form remove only the page number.
+            # So many repeated lines mean copies of a form: remove only the page number.
             labels = [label for label in labels[:1] if "#" in label]
         steps = np.abs(np.diff([line.y_mm for line in edge]))
         usual_mm = np.median(steps[steps > _EVEN]) if (steps > _EVEN).any() else 0.0
@@ -106,8 +106,8 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
 
 
 def _keys(line: PrintedLine) -> Iterator[str]:
-    """Yield keys that are equal for the same running head on other pages: the text, and the text
-    with one number replaced by the difference to the page number."""
+    """Yield keys that a running head has on each page: its text, and variants of the text with #
+    for one number. A variant ends with this number minus the page number."""
     yield line.text
     for number in re.finditer(r"\d{1,5}", line.text):
         before, after = line.text[: number.start()], line.text[number.end() :]
@@ -141,7 +141,7 @@ def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
             current = None
             continue
         if k and line.page != lines[k - 1].page:
-            # A footnote can precede this line, so continue the last paragraph in its size of print.
+            # A page can end with a footnote, so continue the last paragraph in this size of print.
             alike = (earlier for earlier in reversed(joined) if lines[earlier.last].is_like(line))
             current = next(alike, None)
         text = _LEADERS.sub(" ", line.text)
@@ -158,12 +158,12 @@ def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
 @dataclass
 class _Paragraph:
     text: str
-    first: int  # indices of the first and last line
-    last: int
+    first: int  # index of the first line
+    last: int  # index of the last line
 
 
 class _Layout:
-    """Columns and blocks of lines: right margins, and whether lines of a block stay separate."""
+    """Layout of lines: their right margins, and whether the lines of a block stay separate."""
 
     def __init__(self, lines: Sequence[PrintedLine]) -> None:
         self._lines = lines
@@ -198,8 +198,8 @@ class _Layout:
             yield run
 
     def _measure(self, column: Sequence[int], page: Sequence[PrintedLine]) -> None:
-        """Find the right margin of each line of a column: the largest right end of lines of its
-        size, up to the neighboring column."""
+        """Find the right margin of each line: the rightmost end of the column's lines in the same
+        size of print, except lines that reach into the neighboring column."""
         lines = self._lines
         for k in column:
             near_mm = self._step_mm[lines[k].page] / 2
@@ -274,7 +274,7 @@ class _Layout:
         return self._ends(paragraph.last, k)
 
     def _is_item(self, paragraph: _Paragraph, k: int) -> bool:
-        """Return whether a line begins with the mark of an item that is not part of a sentence."""
+        """Return whether a line begins with an item's mark. Exclude marks inside of sentences."""
         text, before = self._lines[k].text, self._lines[paragraph.last].text
         mark = _MARK.match(text)
         return mark is not None and (

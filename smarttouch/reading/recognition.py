@@ -28,7 +28,7 @@ Read = tuple[str, float]
 
 PAGE, BLOCK, _LINE = 3, 6, 7  # page segmentation modes of Tesseract
 LARGEST_SIDE = 32_000  # largest side, pixels; Tesseract's limit is 32,767
-_TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # time limit of a call, and its extension for each strip
+_TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # time limit of a call, and added time for each strip
 _WORD, _COLUMNS = "5", 12
 """Level of words in Tesseract's table, and number of its columns: level, page, block, paragraph,
 line, word, left, top, width, height, confidence, text."""
@@ -36,12 +36,12 @@ STRIP_MARGIN = 0.25
 """White margin around a strip, relative to its height. On noisy and blurred strips, 1.6 % of the
 characters were wrong with 0.25, 3.1 % with 0.15, and 2.3 % with 0.45."""
 _STRIP_PX, _NARROWER = 32, 0.85
-"""Height of lines for recognition, ascender to descender, and factor for their width: narrower
-lines are recognized faster, without more errors."""
+"""Height of lines for recognition, ascender to descender, and factor that makes them narrower. This
+saves time without more errors."""
 SURE = 0.6  # mean confidence below which a warning is given
 _LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "uig", "urd", "yid"])
 """Tesseract's codes of languages written from right to left."""
-_FIRST, _LONGEST = 5, 3  # numbers of first and of longest lines recognized in each orientation
+_FIRST, _LONGEST = 5, 3  # the first 5 and the longest 3 lines decide the orientation
 _UPRIGHT, _FEWEST_LETTERS = 0.7, 30
 """A page is upright if `_FEWEST_LETTERS` letters or more have a mean confidence of `_UPRIGHT`."""
 _MORE = 1.15  # ratio of recognized letters above which another orientation is chosen
@@ -145,7 +145,7 @@ def _run_tesseract(options: Sequence[str], image: bytes, timeout_s: float) -> st
     except OSError as error:
         raise ReadingError(f"{program} does not start: {error.strerror}") from None
     with running:
-        # If this program exits, kill Tesseract: a thread that waits for it would keep both alive.
+        # Kill Tesseract at exit: a thread that waits for it would keep this program alive.
         atexit.register(running.kill)
         try:
             output, messages = (stream.decode("utf-8", "replace")
@@ -280,6 +280,6 @@ def recognized_lines(
     sure = legible / max(1, letters)
     if sure < SURE:
         note(
-            f"the text was recognized with only {sure:.0%} confidence: unless it is handwriting or "
-            f"a picture, set its language by ?languages= (now {options.languages})"
+            f"the text was recognized with only {sure:.0%} confidence: if it is print in another "
+            f"language than {options.languages}, add for example ?languages=deu to the file's name"
         )
