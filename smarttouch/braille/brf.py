@@ -17,7 +17,7 @@ MOST_BYTES = 50_000_000  # largest file; books have a few million cells
 _CODE = " A1B'K2L@CIF/MSP\"E3H9O6R^DJG>NTQ,*5<-U8V.%[$+X!&;:4\\0Z7(_?W]#Y)="
 _CELL_OF = {ord(code): chr(ord(BLANK) + k) for k, code in enumerate(_CODE)}
 _CELL_OF |= {code + 32: cell for code, cell in _CELL_OF.items() if 64 <= code < 95}
-"""Lower-case variants of the codes."""
+"""Codes 96 to 126 have the same cells as the codes 32 below: a has the cell of A."""
 _MARKS = {
     codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be",
 }  # fmt: skip
@@ -53,7 +53,7 @@ def ascii_braille(line: str) -> str:
 
 def format_brf(pages: Pages) -> bytes:
     """Convert pages to BRF. Raises BrailleError if a cell has dots 7 or 8."""
-    # A form feed before an empty line would look like one on its own line, so add a blank.
+    # If a page began with an empty line, the form feed would read as a line, so add a blank.
     sheets = ("".join(f"{ascii_braille(line)}\r\n" for line in page) for page in pages)
     return "\f".join(re.sub(r"^\r", " \r", sheet) for sheet in sheets).encode("ascii")
 

@@ -40,8 +40,8 @@ class BrailleTable:
     def to_cells(self, text: str, leave_out: bool = False) -> str:
         """Translate a text to cells, line by line.
 
-        A character without cells is replaced by its plain form. If it has no plain form, it is
-        dropped with ``leave_out``; otherwise BrailleError is raised. See `losses`.
+        A character without cells is replaced by its plain form. A character without a plain form
+        raises BrailleError or, with ``leave_out``, is dropped. See `losses`.
         """
         plain, forms = self._plain(text)
         if not leave_out and "" in forms.values():
@@ -54,9 +54,9 @@ class BrailleTable:
         return "\n".join(self.code.encode(line) for line in plain.split("\n"))
 
     def losses(self, text: str) -> str:
-        """Return a sentence that names replaced and dropped characters, see `to_cells`, or ""."""
+        """Return a sentence on characters that `to_cells` replaces or drops; "" without any."""
         signs = self._plain(text)[1].items()
-        # UEB has technical notation for superscripts and subscripts, so nothing is lost.
+        # UEB has technical notation for superscripts and subscripts, so do not report them.
         quiet = "^_" if self._is_ueb else ""
         forms = {
             sign: form
@@ -137,7 +137,7 @@ class BrailleTable:
         example = "".join(re.split(r"\s+", text)[wrong[0] : wrong[0] + 1])
         return (
             f"{len(wrong)} of {len(plain)} words may be wrong, the first is {example!r}: table "
-            f"{self.name} translates these words to other cells"
+            f"{self.name} translates these words back to cells that differ from the original"
         )
 
 
@@ -160,14 +160,14 @@ class _EnglishLouis(LouisCode):
 
 
 class _UncontractedLouis(_EnglishLouis):
-    """Uncontracted English code: liblouis encodes, as it has more characters, `Grade1` decodes.
+    """Uncontracted English code that encodes by liblouis and decodes by `Grade1`.
 
-    In a test with 1000 sentences, liblouis lost capitals in 77 sentences, `Grade1` in none.
+    Liblouis has more characters, but lost capitals in 77 of 1000 test sentences, `Grade1` in none.
     """
 
     def decode(self, cells: str) -> str:
-        """Translate cells to text by `Grade1`; a word with cells unknown to it is decoded by
-        liblouis."""
+        """Translate cells to text by `Grade1`. Words with cells that `Grade1` does not know are
+        decoded by liblouis."""
         text = Grade1().decode(cells)
         if not any(map(is_cell, text)):
             return text

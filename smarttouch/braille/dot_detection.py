@@ -51,7 +51,7 @@ def _has_cells(dots: NDArray[np.float64]) -> bool:
     points = dots.astype(np.float32)
     distance, neighbors = cv2.batchDistance(points, points, cv2.CV_32F, normType=cv2.NORM_L2, K=9)
     steps = (dots[neighbors[:, 1:]] - dots[:, None]) @ (1, 1j) / np.median(distance[:, 1])
-    # Rows and columns are perpendicular, so the fourth powers of all directions are equal.
+    # As complex numbers, the four directions of a grid have the same fourth power.
     to_nearest = steps[:, 0] / abs(steps[:, 0])
     steps /= np.exp(1j * np.angle((to_nearest**4).mean()) / 4)
     right, below, left, above = ((abs(steps - 1j**k) < 0.25).any(axis=1) for k in range(4))

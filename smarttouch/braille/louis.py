@@ -21,7 +21,7 @@ _DOTS = 0x8000  # code of the blank cell in back-translation, in all versions (L
 _DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128  # values of ``translationModes`` in liblouis.h
 _LOG_OFF = 60000
 _LONGEST_NAME = 200
-"""Longest name of a table, bytes. File names have up to 255; old versions do not check lengths."""
+"""Longest name of a table, bytes. Old versions of liblouis do not check the length of names."""
 _CAPACITIES = (8, 64)  # output characters per input character: first attempt, second attempt
 _UNDEFINED = "\uf8ff"
 """Private-use character that no table defines: its output is that of all undefined characters."""
@@ -32,7 +32,7 @@ _TAG_OF = {"zh": "cmn-Hans", "cmn": "cmn-Hans", "nb": "no", "nn": "no"}
 _PLAIN_KINDS = (" contraction:no dots:6", " contraction:no", " grade:1")
 _PLAIN_ENDS = ("-g0.utb", "-g0.ctb", "-g1.utb", "-g1.ctb", ".utb", ".ctb", ".tbl")
 _TEST_LETTERS = {"he": "אבג"}
-"""Letters that test decoding, for languages whose tables also decode abc; abc tests all others."""
+"""Letters that test decoding, by language; the default is abc. Hebrew tables always decode abc."""
 
 _lock = threading.Lock()  # liblouis has global state
 
@@ -128,7 +128,7 @@ def language_of(table: str) -> str:
 
 
 def _query(function: str, *arguments: bytes) -> str:
-    """Return the text that a function of liblouis returns; empty without a text or liblouis."""
+    """Call a function of liblouis; return its text, or "" without a text or without liblouis."""
     library = _library()
     if library is None:
         return ""
@@ -153,7 +153,7 @@ def _library() -> ctypes.CDLL | None:
 
 
 def _goes_both_ways(table: str) -> bool:
-    """Return whether a table also decodes cells, by its own statement or by a test."""
+    """Return whether a table also decodes cells, as its metadata or a test with letters shows."""
     if _query("lou_getTableInfo", table.encode(), b"direction") != "forward":
         return True
     code, letters = LouisCode(table, goes_back=True), _TEST_LETTERS.get(language_of(table), "abc")

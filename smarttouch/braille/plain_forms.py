@@ -9,8 +9,8 @@ QUIET = {
     **dict.fromkeys("“”„‟«»", '"'), **dict.fromkeys("‘’‚‛‹›", "'"), **dict.fromkeys("‐‑–—―", "-"),
     "…": "...", "-": "\u00ad",
 }  # fmt: skip
-"""Plain forms that differ only by typeface, so their use is not reported. The hyphen is among them
-because liblouis' Italian table has no cell for it, but shows a soft hyphen as a hyphen."""
+"""Plain forms that look almost the same, so their use is not reported. A hyphen becomes a soft
+hyphen for liblouis' Italian table, which has a cell only for the soft hyphen."""
 _FORMS = QUIET | {
     "−": "-", "⁄": "/", "∕": "/", "×": "x", "÷": "/", "·": ".", "⋅": ".", "≤": "<=", "≥": ">=",
     "≠": "/=", "≈": "~", "±": "+-", "→": "->", "←": "<-", "↔": "<->", "⇒": "=>", "′": "'",
@@ -20,7 +20,7 @@ _FORMS = QUIET | {
     "}": ")", "`": "'", "°": " degrees ", "§": "section ", "©": "(c)", "®": "(R)", "№": "No.",
     "¡": "", "¿": "", **dict.fromkeys("•◦▪‣●○■□▸►❖➢⁃\uf0b7\uf0a7\uf0d8\uf0fc\uf076", "*"),
 }  # fmt: skip
-"""Plain forms that Unicode does not define, also of bullets in symbol fonts."""
+"""Plain forms that Unicode does not define. Some of the bullets are those of symbol fonts."""
 _LATIN = re.compile(r"LATIN (SMALL|CAPITAL) (?:LETTER|LIGATURE) ([A-Z]{1,2})(?: WITH .*)?")
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (?:.* )?([A-Z]+?)(?: SYMBOL)?(?: WITH .*)?")
 
@@ -66,7 +66,7 @@ def _script(sign: str) -> str:
 
 
 def _form(sign: str, lacks: Callable[[str], bool], within: str = "") -> str | None:
-    """Return the first plain form that the code can encode, if need be by plain forms; or None."""
+    """Return the first plain form whose characters have cells or plain forms; None without any."""
     within += sign
     for form in _candidates(sign):
         if set(form).isdisjoint(within):
