@@ -32,7 +32,7 @@ from smarttouch.views.delivered_drawing import DeliveredDrawing, Under
 
 _UNBOUNDED_MM = (150.0, 100.0)  # size of the part of an unbounded texture that is shown
 _LONGEST_PX = 1000
-_ROUNDING_MM = 1.0  # distance by which the pointer can be outside of the texture (rounding)
+_ROUNDING_MM = 1.0  # accepted distance of the pointer from the texture, as places are rounded
 
 
 class PageMotion(HandMotion):

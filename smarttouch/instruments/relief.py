@@ -91,7 +91,7 @@ _LONGEST_SIDE = 32_000  # longest side of a map, px: OpenCV samples with 16-bit 
 _LOWEST, _HIGHEST = 0.25, 0.75
 """A place below `_LOWEST` is never raised, and a place above `_HIGHEST` is always raised. Between
 these heights, the threshold is the mean height of the surroundings."""
-_AROUND = 2.5  # side of each of two box filters, in grains; together, sigma is one grain
+_AROUND = 2.5  # side of two box filters, in grains, that together have a sigma of one grain
 _BLUR_MM = 0.2  # sigma of the blur that removes noise of photographs; lines of 0.1 mm remain
 
 
@@ -296,7 +296,7 @@ class ReliefFeeler:
     def _on_map(
         self, places: NDArray[np.complex128]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the columns and rows of the map, (N, E) each, at which the electrodes are for N
+        """Return where the electrodes are on the map, as columns and rows, (N, E) each, for N
         places of the array."""
         x_mm, y_mm = self._relief.scale_mm
         x, y = places.real / x_mm, places.imag / y_mm
