@@ -67,7 +67,7 @@ def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) ->
 
 
 def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]:
-    """Return lines without running heads and page numbers, which ``note`` reports. These are lines
+    """Return lines without running heads and page numbers, which ``note`` reports. Both are lines
     at the top or bottom, at equal heights on several pages, that differ only in page numbers."""
     pages = [
         sorted(page, key=lambda line: line.y_mm)
@@ -186,7 +186,7 @@ class _Layout:
             self._classify(block)
 
     def _runs(self, parts: Callable[[PrintedLine, PrintedLine], bool]) -> Iterator[list[int]]:
-        """Yield runs of indices of successive lines on a page that ``parts`` does not separate."""
+        """Yield indices of successive lines on a page, in runs that end where ``parts`` is true."""
         run: list[int] = []
         for k, line in enumerate(self._lines):
             before = self._lines[k - 1]

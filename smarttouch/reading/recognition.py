@@ -69,8 +69,8 @@ def recognize(
     """Recognize the lines of text on an image, (H, W) uint8, dark on bright.
 
     ``languages`` are codes such as ``eng+deu``; ``layout`` is `PAGE` or `BLOCK`. Tesseract does not
-    correct images: paper should be white and evenly lit, and the x-height about 20 pixels. If it is
-    below 10 and the image is sharp, enlarge the image.
+    correct images: paper should be white and evenly lit, and the x-height about 20 pixels. Enlarge
+    a sharp image if its x-height is below 10 pixels.
     """
     lines = itertools.groupby(_words([image], languages, layout, timeout_s), lambda row: row[1:5])
     return "\n".join(_joined(words)[0] for _, words in lines)
