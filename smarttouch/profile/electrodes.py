@@ -53,7 +53,7 @@ class ElectrodeArray:
         self.refuse_overlaps(COINCIDENT_MM if self.own is None else None)
 
     def refuse_overlaps(self, least_mm: float | None = None) -> None:
-        """Raise ProfileError if electrodes overlap or centers are less than ``least_mm`` apart."""
+        """Raise ProfileError for overlaps or, with ``least_mm``, for centers closer than that."""
         apart = self.distance_mm + np.diag(np.full(len(self), np.inf))
         touching = self._overlap(apart) if least_mm is None else apart < least_mm
         if touching.any():
