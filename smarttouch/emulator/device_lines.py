@@ -118,7 +118,7 @@ def replayed(path: Path | str) -> Iterator[str]:
 
 
 class Replay(PtyLine):
-    """Port that replays a recorded device. Raises BoardError unless ``path`` is a recorded line."""
+    """Port that replays a recorded device. Raises BoardError if ``path`` is not a recording."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -127,7 +127,7 @@ class Replay(PtyLine):
             lines = map(json.loads, read_text(path, BoardError, MOST_BANK_BYTES).splitlines())
             self._events = [(line["event"], bytes.fromhex(line["hex"])) for line in lines]
         except (ValueError, KeyError, TypeError):
-            message = f"{path} is not the recording of a line: give a file made with ?record=FILE"
+            message = f"{path} is not a recorded device: give a file made with ?record=FILE"
             raise BoardError(message) from None
         super().__init__()
 
@@ -154,7 +154,7 @@ class Replay(PtyLine):
         """Yield "" when a host opens the port, then each byte of the host in hexadecimal."""
         ending, data = False, None
         while data is None and not ending:
-            # Check the event before reading: bytes that came before the event are still read.
+            # Check `ending` before reading: bytes that came before the end are still read.
             ending, data = self.ending.is_set(), self.read(0.001)
         yield ""
         while data or (data is not None and not ending):

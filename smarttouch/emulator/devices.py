@@ -36,7 +36,7 @@ _LONGEST_WAIT_S = 0.02
 _BEHIND_NS = 100_000_000  # after a longer delay, a sensor skips the measurements that it missed
 _BLOCK, _SIDE, _PATTERN_SIDE = 4, 64, 1024
 _PATTERN_PIXELS_S = 40
-_FIRST_HOST_S = 8.0  # the wait for the first host is longer by this time than ``linger``
+_FIRST_HOST_S = 8.0  # wait for the first host, in addition to ``linger``
 _WRITE_EVERY_NS = 50_000_000
 _FULL_WAIT_S = 0.0005  # pause between attempts to write the rest of a message
 
@@ -148,8 +148,8 @@ class Server:
         """Print instructions or the port's name; run until SIGTERM or ``linger_s`` without a host.
 
         With an infinite ``linger_s``, Ctrl-C ends the device. With a finite ``linger_s``, Ctrl-C is
-        meant for the host, and ends the device only if no host is connected. SIGHUP then ends the
-        device as soon as the host has closed the port.
+        meant for the host, and the device ignores it while a host is connected; after SIGHUP, the
+        device ends as soon as no host is connected.
         """
         ended, host_ns = False, _FIRST_HOST_S * 1e9
 

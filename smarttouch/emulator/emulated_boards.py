@@ -35,7 +35,8 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 _HEARTBEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest pause between packets of the host
 _STEP_NS = 20_000  # step by which simulated time advances while the host waits for an answer
 _LONGEST_GAP_NS = 1000 * (link_rules.KEPT_US + link_rules.SECOND_US)
-"""Longest simulated pause, which restarts the ramp and leaves no pulse in the last second."""
+"""Longest simulated pause between sequences; longer pauses count as this long. After this pause,
+the ramp has restarted, and the limits per second count no earlier pulse."""
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
 """Delivered pulses: the number of the sequence, (N,), the width, (N,) µs, and the current, (N, E)
@@ -112,7 +113,7 @@ class SimulatedDriver(LinkDriver):
         self.port = None
         self._session = _DirectSession(self._receive)
         self._books = _PulseLog(limits.electrodes)
-        self._numbers = [0]  # for each SEQUENCE packet, the number of its proved sequence
+        self._numbers = [0]  # `ProvedSequence.number` of each SEQUENCE packet
 
     def take_pulses(self) -> Pulses:
         """Return all pulses delivered since the last call."""
@@ -160,7 +161,7 @@ class SimulatedDriver(LinkDriver):
         """Return the simulated time at which a sequence with this time stamp begins, ns."""
         now_ns, before_ns, self._stamp_ns = self._session.now_ns(), self._stamp_ns, stamp_ns
         if not self._number or stamp_ns < before_ns:
-            # The first sequence begins now, and so does a sequence with an earlier time stamp.
+            # Begin now if this is the first sequence, or has an earlier time stamp than the last.
             self._ahead_ns = stamp_ns - now_ns
         gap_ns = stamp_ns - self._ahead_ns - now_ns
         self._ahead_ns += max(0, gap_ns - _LONGEST_GAP_NS)
@@ -201,8 +202,8 @@ class MemoryDriver(Driver):
 
 _STARTS_WITHIN_S = 30.0  # time limit for the start of the process, which busy computers delay
 _ENDS_WITHIN_S = 3.0
-_FIRST_HOST_S = 5.0  # use no process that has waited longer for a host: it ends after 8 s
-_ANSWERS_WITHIN_S = 5.0  # longest silence of the board: a busy computer delays its process
+_FIRST_HOST_S = 5.0  # largest age at which a process without a host is used: it ends after 8 s
+_ANSWERS_WITHIN_S = 5.0  # longest silence of the board: a busy computer delays the emulator
 
 
 class EmulatorDriver(LinkDriver):
@@ -270,8 +271,8 @@ class EmulatorProcess:
         return self.end.alive and not self.has_ended and bool(waits)
 
     def port(self, line: Line) -> str:
-        """Wait until the process has started, and return the name of its port. A stop of the board
-        ends the wait with an error; ``line`` reports the stop."""
+        """Wait until the process has started, and return the name of its port. Raise an error if
+        the board of ``line`` is stopped during the wait."""
         if self.has_ended and self._port:
             raise BoardError("the process of the emulator has ended: open the board again")
         try:

@@ -18,8 +18,8 @@ from smarttouch.emulator.skin import Delivered, EmulatedFinger, SkinCircuit
 STATE_FILE = "state.json"
 DELIVERED_FILE = "delivered.bin"
 SAFE_PULSE, SAFE_RECHARGE = (5000, 200, 0.5), (500, 20_000, 2.0)
-"""Largest safe current, µA, duration, µs, and charge, µC: first of a pulse, then of a recharge
-phase. The limits that the firmware checks have no influence on these values."""
+"""Largest safe current, µA, duration, µs, and charge, µC, of a pulse and of a recharge phase.
+These values are independent of the limits that the firmware checks."""
 RECHARGE = 0xFFFF  # slot number and site that mark a recharge phase
 _ROUNDING = 1 + 1e-6
 _FLOWS_UA = 0.5
@@ -49,7 +49,7 @@ class DeliveryLog:
     pulses and recharge phases, but not while electrodes are shorted."""
     state: str = "shorted"
     reason: str = "start"
-    zero_after_ms: float = 0.0  # at the last stop: time since the host's last sign of life
+    zero_after_ms: float = 0.0  # time from the host's last sign of life to the last stop
     stood_still_ms: float = 0.0  # total time for which `DeviceClock` stood still
     _delivered: bytearray = field(default_factory=bytearray, repr=False)
 
@@ -263,10 +263,10 @@ class KitFirmware(Firmware):
     ) -> int:
         """Deliver a pulse, then ground all outputs for ``rest_us``; record the pulse in the log.
 
-        Return the reading of the A/D converter at the end of the pulse. The current flows between
-        ``electrode`` and all others of the first ``among`` outputs, and is positive cathodic.
-        Before the pulse, outputs were grounded, or unconnected if not ``grounded``. ``more``
-        means that another pulse of the slot follows. ``slot`` defaults to the electrode.
+        Return the reading of the A/D converter at the end of the pulse. One pole is
+        ``electrode``; the other pole is all other outputs from 0 to ``among`` − 1. ``current_ua``
+        is positive cathodic. If ``grounded``, outputs were grounded before the pulse; otherwise
+        they were unconnected. If ``more``, another pulse of the slot follows.
         """
         self._finger.at(start_ns / 1e9, self._skin)
         if start_ns > self._rested_ns:

@@ -1,6 +1,6 @@
 """Emulated firmware of the ``link`` board: a state machine to which the caller passes the time.
 
-It checks sequences with the rules and the code of `link_rules`, independently of the host.
+Its checks of sequences are in `link_rules`; the host checks sequences with other code.
 """
 
 from dataclasses import dataclass, field
@@ -59,8 +59,7 @@ class _PendingSequence:
 
 
 class LinkFirmware(Firmware):
-    """Firmware of the board on a model of the skin; set ``switch_open`` to open the emergency
-    switch."""
+    """Firmware on a model of the skin. If ``switch_open``, the emergency switch is open."""
 
     def __init__(
         self,
@@ -74,7 +73,7 @@ class LinkFirmware(Firmware):
     ) -> None:
         self._electrodes = electrodes = books.electrodes
         self._output, self.books = output, books
-        # `DeviceClock` must count the time of a sequence's check, which grows with the electrodes.
+        # `DeviceClock` must not skip the time of a check, which grows with the electrodes.
         self.longest_step_ns += 10_000 * electrodes
         self._room = room = room or Room()
         self._rules = LinkRules(electrodes, output, room, ramp_ms)

@@ -33,8 +33,7 @@ def encode_volts(volts: NDArray[np.float64]) -> bytes:
 
 
 class BoardSession:
-    """Session in progress, and challenge for the next one. ``draw`` returns 32 random bits that are
-    not all 0."""
+    """Current session, and challenge for the next. ``draw`` returns 32 random bits, not all 0."""
 
     def __init__(self, draw: Callable[[], int] = protocol.draw_half) -> None:
         self.state = 0  # state of the board, which it sends in each packet
@@ -56,7 +55,7 @@ class BoardSession:
         return protocol.encode(message)
 
     def encode_alive(self, payload: bytes, now_ns: int) -> bytes:
-        """Return the next ALIVE packet; store its time, by which `_refusal_of` detects delays."""
+        """Return the next ALIVE packet; store its time, so that `_refusal_of` detects delays."""
         packet = self.encode(MessageKind.ALIVE, 0, payload)
         self._alive.append((now_ns, self._said))
         return packet
@@ -90,7 +89,7 @@ class BoardSession:
         return protocol.encode(nak)
 
     def begin(self, begin: Message) -> None:
-        """Open the session of a BEGIN for which `would_begin` is true."""
+        """Open the session that a BEGIN requests; `would_begin` must be true for the BEGIN."""
         half = begin.session & HALF
         self._hellos.pop(half, None)
         self._count_foreign_hellos()
@@ -105,8 +104,7 @@ class BoardSession:
         self._hellos.clear()
 
     def take(self, message: Message, began_ns: int) -> Refusal | None:
-        """Accept a packet, or return the reason to refuse it. ``began_ns`` is the time of its first
-        byte."""
+        """Accept a packet whose first byte came at ``began_ns``, or return why it is refused."""
         refusal = self._refusal_of(message, began_ns)
         self.old += refusal is Refusal.OLD
         self.foreign += refusal is Refusal.FOREIGN
@@ -123,7 +121,8 @@ class BoardSession:
     def _refusal_of(self, message: Message, began_ns: int) -> Refusal | None:
         if message.version != VERSION or not self.number or message.session != self.number:
             return Refusal.FOREIGN
-        # Numbers of ALIVE packets sent over LATE_MS ago. A late packet confirms no newer ALIVE.
+        # ALIVE packets sent over `LATE_MS` before this packet began are stale. This packet is late
+        # if its host had heard nothing newer than a stale one.
         stale = (number for sent_ns, number in self._alive if sent_ns < began_ns - LATE_MS * _MS)
         # STOP is never late: it must work even if the host receives nothing.
         late = message.kind != MessageKind.STOP and message.heard <= max(stale, default=-1)
@@ -178,7 +177,7 @@ class _Reader:
 
 
 def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSequence:
-    """Decode the payload of SEQUENCE. Raises ValueError unless this is exactly one sequence."""
+    """Decode the payload of SEQUENCE. Raises ValueError if the payload is malformed."""
     rest = _Reader(payload)
     first = rest.take(protocol.SEQUENCE.size)
     period_us, times, intensity, flags, count = protocol.SEQUENCE.unpack(first)
@@ -232,7 +231,7 @@ def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8
 
 def rounded(sums: NDArray[np.int64]) -> NDArray[np.int64]:
     """Convert sums of scaled kernels, (…, E), to whole µA, so that all currents sum to zero."""
-    # Round the partial sums: the last of them is 0, so their differences, the currents, sum to 0.
+    # The last cumulative sum is 0, rounded or not, so the differences between these sums sum to 0.
     return np.diff((np.cumsum(sums, axis=-1) + 65_536) >> 17, axis=-1, prepend=0)
 
 
@@ -276,8 +275,7 @@ class KernelStore:
                 self._forget()
 
     def proof(self, session: int) -> bytes:
-        """Return a digest that proves to the host which kernels are stored; zeros if they are
-        incomplete."""
+        """Return a digest that proves to the host which kernels are stored; zeros if incomplete."""
         return _NOTHING if self.weights is None else protocol.digest_of(bytes(self._data), session)
 
     def _read(self) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:

@@ -34,14 +34,14 @@ MAX_RECHARGE_UA = 500
 the board does not know the detection thresholds."""
 MAX_RECHARGE_US = 20_000
 MAX_RECHARGE_PC = 2_000_000
-STRENGTH = 4  # largest strength relative to the peak charge, see `SessionLimits.strength`
+STRENGTH = 4  # largest ratio of the strength to ``share``, both as in `SessionLimits.strength`
 BUCKET_US = 50_000
-BUCKETS = 20  # the last second is the current bucket and this number of earlier buckets
+BUCKETS = 20  # number of buckets before the current one that belong to the last second
 SECOND_US = 1_000_000
 MOST_CHARGE_PC = 500_000_000
 MOST_NET_PC = 50_000_000
 RAMP_MS = 500  # shortest time from zero to full intensity
-CATCH_UP_US = 150_000  # time by which a sequence may be ahead of the ramp: packets may be late
+CATCH_UP_US = 150_000  # largest lead of a sequence over the ramp, because packets can be late
 KEPT_US = 15_000_000  # time without current after which the ramp restarts
 _LEEWAY = 2  # tolerance for the rounding of an intensity, in units of 1/65,535
 
@@ -63,8 +63,7 @@ class BrokenRule(NamedTuple):
 def first_above(
     rule: Rule, value: NDArray[np.int64] | int, allowed: Any, slot: int = NOTHING
 ) -> BrokenRule | None:
-    """Return a violation if a value exceeds the allowed one, else None. For values (E,), the
-    violation names the first electrode."""
+    """Return the violation by the first value that is above the allowed one, or None."""
     values, allowed_each = np.broadcast_arrays(np.atleast_1d(value), allowed)
     if not len(over := np.flatnonzero(values > allowed_each)):
         return None
@@ -85,7 +84,7 @@ class Load(NamedTuple):
     pulses_us: int  # duration of all pulses and the recharge phase, without discharge
 
     def after(self, before: "Load") -> "Load":
-        """Add the load ``before``: sum counts, charges and durations; take the larger peaks."""
+        """Return the total of this load and an earlier one; of each peak, take the larger one."""
         return Load(
             before.each + self.each, max(before.peak_ua, self.peak_ua),
             max(before.peak_pc, self.peak_pc), before.busy_us + self.busy_us,
@@ -95,7 +94,7 @@ class Load(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SessionLimits:
-    """Limits of a session: for each, the stricter value of host and board."""
+    """Limits of a session. Each is the stricter one of the host's and the board's limit."""
 
     period_us: int
     total_ua: int
@@ -134,8 +133,9 @@ class SessionLimits:
         )  # fmt: skip
 
     def strength(self, intensity: int, peak_pc: int) -> int:
-        """Return a sequence's strength, 0 to `FULL`. It is the intensity, but at least the share
-        of ``peak_pc`` in the charge of a full pulse, and at most `STRENGTH` times this share."""
+        """Return a sequence's strength, at most `FULL`, which the ramp limits. The strength is the
+        intensity, but at least ``share`` and at most `STRENGTH` times ``share``. ``share`` is
+        ``peak_pc`` relative to the charge of a full pulse."""
         share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
         return min(FULL, max(share, min(intensity, STRENGTH * share)))
 
@@ -149,18 +149,18 @@ class LastSecond:
     """Record of pulses and charges in the last second and in the session, to check limits."""
 
     def __init__(self, electrodes: int) -> None:
-        # `_over`: (bucket of the end, load) of each pass; `_running`: load of the executing pass
+        # For each ended pass: the bucket in which it ended, and its load
         self._over: deque[tuple[int, NDArray[np.int64]]] = deque()
-        self._running: NDArray[np.int64] | None = None
+        self._running: NDArray[np.int64] | None = None  # load of the executing pass
         self._starts_us: deque[int] = deque()
         self._none = np.zeros((3, electrodes), np.int64)
         self.most_net_pc: int = 0  # largest net charge of an electrode within any second so far
         self.begin_session()
 
     def begin_session(self) -> None:
-        """Reset the load of the session, but not that of the last second."""
+        """Reset the load of the session; keep the load of the last second."""
         self.session_us: int = 0
-        self.session: NDArray[np.int64] = self._none  # (3, E): sum of the loads of the session
+        self.session: NDArray[np.int64] = self._none  # (3, E): sum of `Load.each` in the session
 
     def begin(self, start_us: int, period_us: int, load: Load, goes_on: bool) -> None:
         """Add a pass that begins at ``start_us``. If it continues a scan (``goes_on``), do
@@ -186,7 +186,7 @@ class LastSecond:
             self._running = None
 
     def _in_window(self, start_us: int) -> NDArray[np.int64]:
-        """Return the loads of passes in the last second, (N, 3, E), the latest first."""
+        """Return `Load.each` of the passes in the last second, (N, 3, E), the latest first."""
         first = start_us // BUCKET_US - BUCKETS
         loads = [] if self._running is None else [self._running]
         loads += [load for bucket, load in reversed(self._over) if bucket >= first]
@@ -232,13 +232,13 @@ class LastSecond:
 
 
 def _most_net(window: NDArray[np.int64], net_pc: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return max |``net_pc`` + net charge of the latest k passes| over all k >= 0, (E,)."""
+    """Try all k >= 0: return the largest |``net_pc`` + net charge of the latest k passes|, (E,)."""
     runs = np.cumsum([net_pc, *window[:, 2]], axis=0)
     return np.asarray(np.abs(runs).max(axis=0))
 
 
 class Ramp:
-    """Slew limit: intensity rises only while current flows, at most to the sequence's strength.
+    """Slew limit: intensity rises only while current flows, and only to the sequence's strength.
 
     ``ramp_ms`` is the shortest time from zero to full intensity; 0 turns off the ramp in tests.
     """
@@ -248,12 +248,12 @@ class Ramp:
         self.restart(ramp_ms)
 
     def restart(self, ramp_ms: int) -> None:
-        """Restart at zero intensity. The ramp time is the longer of ``ramp_ms`` and `_own_ms`."""
+        """Restart at zero intensity. The constructor's ``ramp_ms`` stays the shortest ramp time."""
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
         self._level = self._strength = self._since_us = self._span_us = 0
 
     def _reached(self, now_us: int) -> tuple[int, int]:
-        """Return the intensity reached, and the µs with current since the last call of `note`."""
+        """Return the intensity reached, and the time with current since the last `note`, µs."""
         on_us = max(0, min(now_us - self._since_us, self._span_us))
         if now_us - self._since_us - on_us > KEPT_US:
             return 0, on_us
@@ -268,7 +268,7 @@ class Ramp:
         return min(FULL, self._reached(now_us)[0] + ahead + _LEEWAY)
 
     def note(self, intensity: int, strength: int, now_us: int, span_us: int) -> None:
-        """Record a sequence from ``now_us`` on; ``span_us`` is its duration, 0 without current."""
+        """Record the start of a sequence; ``span_us`` is its duration, 0 if it has no current."""
         if not self._ramp_us:
             return
         risen, on_us = self._reached(now_us)
@@ -301,7 +301,7 @@ class _Scan:
 
 
 class LinkRules:
-    """Checks of sequences, with the limits, kernels and past loads that they need."""
+    """Checks of sequences, with the limits, kernels and past loads that the checks need."""
 
     def __init__(self, electrodes: int, output: Output, room: Room, ramp_ms: int) -> None:
         self._none = Load(np.zeros((3, electrodes), np.int64), 0, 0, 0, 0)
@@ -318,14 +318,14 @@ class LinkRules:
         self.second.begin_session()
 
     def take_limits(self, payload: bytes) -> None:
-        """Set the limits of a session, unless it already has valid limits."""
+        """Set the limits of the session; do nothing if the session already has valid limits."""
         if self.limits is None:
             self.limits = SessionLimits.of(payload, self._none.each.shape[1], self._output)
             self._ramp.restart(0 if self.limits is None else self.limits.ramp_ms)
 
     def check(self, sequence: ReceivedSequence, start_us: int, real_us: int) -> BrokenRule | Load:
-        """Compute the currents of kernels; return the first violation, or the load of a pass. The
-        first pass begins at ``start_us`` (``real_us`` on a clock that never stands still)."""
+        """Compute the currents of kernels; return the first violation, or the load of one pass. The
+        first pass begins at ``start_us``, or ``real_us`` on a clock that never stands still."""
         scan, limits = self._scan, self.limits
         if not sequence.goes_on:
             scan = _Scan(sequence, real_us, copy(self._ramp), self._none)
@@ -391,14 +391,14 @@ class LinkRules:
         if switched:
             odd = (Rule.STATES, self._no_circuit(sequence.rows), 0 * kind, 0)
             total_ua = sequence.source_ua
-            # An electrode carries all current of a source if the rest of its pole loses contact.
+            # An electrode carries all current if the other electrodes of its pole lose contact.
             through_ua = np.where(each_ua > 0, total_ua[:, None], 0)
         else:
             sums_ua = sequence.rows.sum(axis=1)
             odd = (Rule.BALANCE, sums_ua != 0, sums_ua, 0)
             total_ua, through_ua = each_ua.sum(axis=1) // 2, each_ua
         charge_pc = through_ua * sequence.width_us[:, None]
-        # For each rule: mask of violations, checked values, both (S,) or (S, E), and allowed values
+        # For each rule: mask of violations, (S,) or (S, E); checked values; allowed values
         rules: list[tuple[Rule, NDArray[np.bool_], NDArray[np.int64], Any]] = [
             (Rule.KIND, (kind == STATES) != switched, kind, 0),
             (Rule.KERNEL, missing >= 0, missing, self.keep.count),
@@ -423,8 +423,8 @@ class LinkRules:
         return first_above(rule, values[slot], allowed, slot)
 
     def _fill_in(self, sequence: ReceivedSequence) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Compute currents and sites of kernel slots. For each slot, (S,), return the first kernel
-        that is not stored, or -1, and the sum of amplitudes."""
+        """Compute currents and sites of kernel slots. Return two numbers for each slot: its first
+        kernel that is not stored, or -1 if all are stored; and the sum of its amplitudes."""
         keep, (slot, kernel, amplitude) = self.keep, sequence.pairs.T
         missing, sums = np.full((2, sequence.slots), [[-1], [0]], np.int64)
         np.add.at(sums, slot, amplitude)

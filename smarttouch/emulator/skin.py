@@ -43,12 +43,13 @@ COMPLIANCE_V = 300.0
 _CONSTANT = (1, 1.0, 1.0)
 _SHARED = (6, 1.3, 0.6)
 _CAPPED = (24, 1.15, 1.0)
-"""Steps of a pulse: their number, the length of each relative to the step before, and the point
-within a step for which the current is computed, where 0 is the start and 1 the end of the step.
+"""Time steps in which a pulse is computed: number of steps; length of each relative to the step
+before; point of a step for which the current is computed (0: its start; 1: its end).
 Results differ by at most 3 % from results with fine steps."""
 _SHORT_STEPS, _SHORT_GROWTH = 3, 3.0
-"""Steps of a short circuit: their number, and the length of each relative to the step before. If
-electrodes differ by up to 15 %, the error is below 1 % of the initial charge."""
+"""Time steps in which the discharge of shorted electrodes is computed: number of steps; length of
+each relative to the step before. If electrodes differ by up to 15 %, the error of the remaining
+charge is below 1 % of the initial charge."""
 _LONGEST_SHORT_US = 2000.0
 _MOST_WIDTHS = 64
 
@@ -65,10 +66,10 @@ class Delivered:
 
 
 class _Steps(NamedTuple):
-    """Pulse divided into K steps, each with a constant current I. Arrays are (K,) or (K, E). A step
-    changes the voltage v of a capacitor to v·decay + I·rise_ohm. I is computed for one point of the
-    step; at this point the electrode has the voltage v·late + I/admittance. The last step has
-    length 0, to compute I at the end of the pulse."""
+    """K time steps in which a pulse is computed. Arrays are (K,) or (K, E). The current I of an
+    electrode is constant during a step. The step changes the voltage of the electrode's capacitor
+    from v to v·decay + I·rise_ohm. I is computed for one point of the step, where the electrode has
+    the voltage v·late + I/admittance. The last step, of length 0, gives I at the pulse's end."""
 
     length_s: NDArray[np.float64]
     decay: NDArray[np.float64]
@@ -152,7 +153,7 @@ class SkinCircuit:
             nothing = np.zeros(self.electrodes)
             return Delivered(nothing, nothing, self._volts, 0.0)
         steps = self._steps_of(width_us, *_SHARED)
-        # Electrode current: `weights` per volt of its pole, −`pulls` per volt of its capacitor
+        # Electrode current = `weights` · voltage of its pole − `pulls` · voltage of its capacitor
         weights = steps.admittance[:, None, :] * poles
         pulls = weights * steps.late[:, None, :]
         lifts = weights * steps.rise_ohm[:, None, :]
@@ -183,28 +184,28 @@ class SkinCircuit:
         )
 
     def short(self, duration_us: float) -> None:
-        """Short all electrodes: each capacitance discharges through R_p, and through R_s to the
-        common node. Within a step, the node's voltage is constant and conserves charge."""
+        """Short all electrodes: each capacitance discharges through R_p, and through R_s into a
+        common node. In a time step, the node has a constant voltage and takes up no net charge."""
         if duration_us < 1e-6:
             return
-        # `_LONGEST_SHORT_US` is many time constants: the charge then remaining is negligible.
+        # After `_LONGEST_SHORT_US`, many time constants, the remaining charge is negligible.
         level, steps = self._shorts_of(min(duration_us, _LONGEST_SHORT_US))
-        for lost, share in steps:
-            self._volts = self._volts + lost * (level * (share @ self._volts) - self._volts)
+        for lost, weights in steps:
+            self._volts = self._volts + lost * (level * (weights @ self._volts) - self._volts)
 
     def _find_shorts(
         self, duration_us: float
     ) -> tuple[NDArray[np.float64], list[tuple[NDArray[np.float64], NDArray[np.float64]]]]:
-        """Return, for each electrode, the final voltage of its capacitor relative to the node's
-        voltage. For each step, return the share of the distance to the final voltage that decays,
-        and the weights with which the capacitors' voltages give the node's voltage."""
+        """Return ``level`` and, for each step, ``lost`` and ``weights``. Capacitors approach
+        ``level`` times the node's voltage; a step removes the fraction ``lost`` of the difference.
+        The node's voltage is the sum of the capacitors' voltages times ``weights``."""
         series = 1 / self.series_ohm
         rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
         level = series / (rate * self.capacitance_f)
         share = _SHORT_GROWTH ** np.arange(_SHORT_STEPS, dtype=np.float64)
         length = (share * (duration_us * 1e-6 / share.sum()))[:, None]
         lost = -np.expm1(-rate * length)
-        # Charge that enters the node: `out` per volt of a capacitor, −`back` per volt of the node
+        # Charge into the node = `out` · voltage of the capacitor − `back` · voltage of the node
         out = series * lost / rate
         back = series * length * (1 - level) + level * out
         return level, list(zip(lost, out / back.sum(axis=1, keepdims=True), strict=True))
@@ -249,8 +250,8 @@ def _balance(current: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 FORCE_N = 1.0  # default force: enough for the pressure gate to allow full intensity
-OPEN_FACTOR = 5e5  # impedance factor of an open electrode: about 1 GΩ
-SHORT_FACTOR = 1e-4  # impedance factor of a shorted electrode: a few ohm to the tissue
+OPEN_FACTOR = 5e5  # factor of the impedance if an electrode is open, which raises it to about 1 GΩ
+SHORT_FACTOR = 1e-4  # factor of the impedance if an electrode is shorted: a few ohm remain
 
 FORMS = {
     "lift": "", "touch": "", "force": "NEWTON",
