@@ -84,8 +84,8 @@ def open_source(
     ----------
     url : str
         Kind, address and options of the source, as in ``page:scan.png?dpi=300``. The kind can be
-        left out for a file, a folder or a text: ``scan.png``, ``Hello``. ``light_on_dark`` is not
-        an option of URLs, because imaging needs it, too.
+        left out for a file, a folder or a text: ``scan.png``, ``Hello``. URLs have no option
+        ``light_on_dark``; use the parameter.
     profile : Profile or str
         Profile with the optics of the source and the force of the finger; or its name or file.
     light_on_dark : bool

@@ -87,7 +87,7 @@ FRESH_S = 0.35  # age up to which a reading is valid: load cells send at least t
 FROZEN_READINGS = 20
 FROZEN_S = 2.0  # equal readings for this time mean a fault: working converters are noisy
 SATURATED = (float(-(2**23)), float(2**23 - 1))
-"""Ends of the HX711's range: its readings if it is overloaded or no load cell is connected."""
+"""Lowest and highest reading of an HX711: its load cell is overloaded or not connected."""
 
 
 class CellWatch:
@@ -146,11 +146,11 @@ class CellWatch:
         self._warnings.put(
             "silence",
             f"{self._title}: no reading for {self._longest_s:.1f} s: check its cable, and that it "
-            f"sends ten readings a second, because each is valid for {FRESH_S:g} s",
+            f"sends at least ten readings a second (a reading is valid for {FRESH_S:g} s)",
         )
 
     def reading(self, now_ns: int) -> float:
-        """Return the newest reading, or NaN if the reading is too old or the cell is frozen."""
+        """Return the newest reading; NaN if it is too old, or constant under pressure."""
         if self._last_ns is None or now_ns - self._last_ns > FRESH_S * 1e9:
             return math.nan
         return math.nan if self._frozen(now_ns) else self._value
@@ -163,7 +163,7 @@ class CellWatch:
         )
 
     def _count(self, value: float) -> float:
-        """Return a reading, or NaN with a note if it is invalid."""
+        """Return the reading; if it is invalid, add a note and return NaN."""
         if value not in SATURATED and not math.isnan(value):
             return value
         self._invalid += 1
@@ -177,7 +177,7 @@ class CellWatch:
 
 FIRST_READING_S = 5.0
 """Time limit of the first reading: some boards restart for two seconds when the port opens."""
-MUTE_S = 2.0  # shortest wait for a reading before a cell counts as silent
+MUTE_S = 2.0  # shortest time limit for the first reading in `LoadCell.collect`
 RETRY_S = 0.25  # interval of attempts to reopen a lost port
 JOIN_S = 2.0  # longest wait for the end of the thread, which hangs if the port's driver hangs
 LARGEST_N = 100.0  # largest plausible force of a finger; a larger force means a wrong curve
@@ -231,12 +231,12 @@ class LoadCell(Closing):
             raise
 
     def reading(self) -> float:
-        """Return the newest raw reading; NaN if it is too old, or the cell is frozen."""
+        """Return the newest raw reading; NaN for the reasons in `CellWatch.reading`."""
         with self._news:
             return self._watch.reading(time.perf_counter_ns())
 
     def collect(self, seconds: float) -> NDArray[np.float64]:
-        """Return the raw readings of the next ``seconds``, (N,); wait longer for the first one."""
+        """Return the raw readings of the next ``seconds``; wait up to `MUTE_S` for the first."""
         with self._news:
             self._collected = []
         self._closing.wait(seconds)

@@ -50,7 +50,7 @@ class FlatField:
         if image.shape != self.gain.shape:
             (rows, columns), (height, width) = image.shape[:2], self.gain.shape
             raise SourceError(
-                f"the flat field is for frames of {width} × {height}, but this one has {columns} × "
+                f"the flat field is for {width} × {height} pixels, but the frame has {columns} × "
                 f"{rows}: calibrate the optics again, or remove optics.flat_field"
             )
         level = np.subtract(image, self.dark, dtype=np.float32)
@@ -143,8 +143,8 @@ def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
 MOST_PIXELS = 64
 """Longest side of the images that `Matcher` compares: more pixels add little accuracy."""
 FINER = 2
-"""Factor by which `Matcher` enlarges small images, whose sides then are at most `MOST_PIXELS`.
-Without this enlargement, sensors of 16 x 16 pixels lose 80 % of the accuracy."""
+"""Factor by which `Matcher` enlarges images if their sides are then at most `MOST_PIXELS`. Without
+this enlargement, sensors of 16 x 16 pixels lose 80 % of the accuracy."""
 LEAST_SLOPE = 6.0
 """Mean squared gradient, (levels/pixel)², below which a direction has no visible print: noise of 2
 levels and uneven light cause about 1.5."""
@@ -218,13 +218,13 @@ class Matcher:
                 break
         if unexplained > MOST_UNEXPLAINED:
             return None
-        # A shift along edges is invisible: keep only the components across edges.
+        # Motion along edges is invisible: keep only the shift across edges.
         x, y = (steep @ shift) @ steep
         return float(x), float(y)
 
     def _slopes(self, common: Common) -> tuple[Floats, Image]:
         """Return the K directions in which a shift is visible, (K, 2), and the derivatives of gray
-        levels with respect to K shifts and 3 patterns of illumination, (K + 3, N)."""
+        levels with respect to a shift in each direction and to 3 patterns of light, (K + 3, N)."""
         along_x, along_y = (
             np.asarray(cv2.Sobel(self._before, cv2.CV_32F, *way, ksize=3, scale=1 / 8)[common])
             for way in ((1, 0), (0, 1))
@@ -253,8 +253,8 @@ class Matcher:
         return rest, float(rest @ rest) / rest.size / (contrast + _NOISE)
 
     def _begin(self) -> Shift | None:
-        """Return the start of the iteration: of the last shift, zero and the covariance's peak, the
-        shift with the highest correlation. Return None if no correlation is positive."""
+        """Return the shift at which iteration starts; None if no correlation is positive. Of the
+        last shift, zero and `_largest_covariance`, take the one with the highest correlation."""
         far = _largest_covariance(self._before, self._image)
         best = max((self._correlation(by), by) for by in {far, self._last_shift, (0.0, 0.0)})
         return best[1] if best[0] > 0 else None
@@ -318,7 +318,7 @@ def page_per_pixel(optics: Optics, shape: tuple[int, int]) -> NDArray[np.float64
 
 
 class FramePreprocessor:
-    """Flat-field correction of successive images, and the sensor's pose, the sum of its motions.
+    """Flat-field correction of successive images, and tracking of the sensor's pose.
 
     A motion counts as zero if it cannot be measured: on blank paper, along a straight edge that
     fills the image, or if two images overlap too little.

@@ -308,7 +308,7 @@ class PacketReadings:
 USUAL_BAUD = 921_600  # default speed of a serial line; it has no effect on USB devices
 _WAIT_S = 0.05  # longest single read
 _UNREADABLE_S = 1.5
-"""Time from the start after which a device without any valid frame is not a sensor array."""
+"""A device that sends bytes, but no valid frame, for this time is not a sensor array."""
 
 
 def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -> LiveSource:
@@ -337,7 +337,7 @@ class SerialArrayDevice(ImageDevice):
         self._warnings = DeviceWarnings(self.notes)
 
     def open(self) -> None:
-        """Open the port. The first `grab` discards the bytes that have arrived until then."""
+        """Open the port. The first `grab` discards all bytes that have arrived before it."""
         self._port = open_port(self._name, self._baud, _WAIT_S, SourceError)
         self._listening_since_ns = None
 

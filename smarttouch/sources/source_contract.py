@@ -126,8 +126,8 @@ class Source(Device, ABC):
     knows_force: bool = False
     """Whether inputs contain the finger force."""
     measures_force: bool = False
-    """Whether the force in inputs is measured on a finger during the run. Any other force is used
-    only on boards that no finger can touch."""
+    """Whether the force in inputs is measured on a finger during the run. Otherwise, the
+    force is used only on boards that no finger can touch."""
     frames: int = 0
     """Number of different frames or stimuli so far, including dropped ones."""
     dropped_frames: int = 0
@@ -165,7 +165,7 @@ class Source(Device, ABC):
             self.notes_told += 1
 
     def narrowed(self, profile: Profile) -> Profile:
-        """Return the profile for this source; its limits must not exceed those of ``profile``."""
+        """Return ``profile``, or a copy with stricter limits for this source."""
         return profile
 
     @property
@@ -259,7 +259,7 @@ Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]  # accepted by `
 
 
 class Images(OpticalSource):
-    """Source of images from Python, one for each read. The force gives full intensity."""
+    """Source of Python images, one for each read. Arrays get the force for full intensity."""
 
     frames: int
     knows_force = True

@@ -32,8 +32,8 @@ SUFFIXES = (
 )  # fmt: skip
 _FEWEST_PIXELS = 2
 _MOST_PIXELS = 80_000_000
-MOST_DECODED = 8  # a source that is this number of images late skips images without decoding
-_MISSING = 0.05  # accepted share of missing frames, because a container only estimates their number
+MOST_DECODED = 8  # smallest delay, in images, at which an image is skipped without decoding
+_MISSING = 0.05  # accepted share of missing frames: files state their number inexactly
 _TEXT = cv2.VideoWriter.fourcc(*"ansi")
 # Suppress messages of FFmpeg, which reads this variable when the process opens its first video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -207,8 +207,8 @@ def open_frames(
 class ClipSource(OpticalSource):
     """Source that plays a clip. With ``unpaced``, each read returns the clip's next image.
 
-    Otherwise, a read returns the image that is due. Skipped images count as dropped, but are
-    decoded to measure the motion, unless the read is `MOST_DECODED` or more images late."""
+    Otherwise, a read returns the image that is due. Skipped images count as dropped. They are
+    decoded, to measure the motion, if they are less than `MOST_DECODED` images late."""
 
     ended = "end of the clip"
     duration_s: float | None

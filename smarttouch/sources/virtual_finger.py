@@ -30,7 +30,7 @@ RETURN_MM_S = 200.0  # speed of the lifted finger to the next line
 SETTLE_S = 0.75  # rest at the start of a line
 LIFT_S = 0.15
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
-_PRESS = 1.1  # reading force, relative to the profile's full force
+_PRESS = 1.1  # force during reading, relative to the profile's full force
 _STEP_MM = 2.0  # distance between points of a path, much smaller than the bends of lines
 _COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
 
@@ -52,7 +52,7 @@ def reading_path(
     """Return a path along the lines of a page, or along parallel strips if it has no lines."""
     require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
     field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
-    # Detect light print even if not requested: otherwise the path would follow the dark gaps.
+    # Detect light print even if the user has not declared it: the path must not follow its gaps.
     lines = find_lines(page, light_on_dark or None) or [_printed(page, light_on_dark)]
     sweeps = tuple(sweep for line in lines for sweep in _sweeps(line, field[1]))
     rows: list[tuple[float, float, float, float, float]] = []
@@ -113,7 +113,7 @@ def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
 
 def _middle_path(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Return x, y and angle of a finger along the middle of a line, and the distance covered."""
-    # Begin on the first letters: blank paper causes no pulses, so the ramp cannot rise on it.
+    # Begin on the first letters: on blank paper no pulses are sent, so the ramp does not rise.
     start, end = line.left_mm, line.right_mm + field_mm / 2
     x = np.linspace(start, end, max(2, math.ceil((end - start) / _STEP_MM)))
     y = line.baseline_mm(x) + (line.descent_mm - line.ascent_mm) / 2
@@ -132,10 +132,10 @@ MOST_PASSES = 10_000
 _SHADE = 0.1  # relative loss of light at the corners (vignetting)
 _SLOPE = 0.03
 _PRINT_MM, _USUAL_PRINT_MM = (1.5, 9.0), 3.7
-"""Plausible heights of lines, ascender to descender; and the height of 11-point lines. If the size
-of a page is assumed and its lines have an implausible height, the page is scaled to 11 points."""
+"""Range of plausible heights of lines (ascender to descender), and the height of 11-point lines. If
+the assumed size of a page gives lines outside this range, the page is scaled to 11 points."""
 _CHOSEN_DPI = (97.0, 700.0)
-"""Range of stated resolutions to trust. Others are mostly defaults of programs."""
+"""Resolutions in this range are trusted if a file states them. Others are mostly defaults."""
 _MARGIN_MM = 4.0
 _MOST_PIXELS = 60_000_000
 
@@ -168,7 +168,7 @@ def open_page(
     corners = None if path is not None or light_on_dark else find_sheet(page.grey)
     if corners is not None:
         flat = flattened(page.grey, corners)
-        # If the width is stated or assumed, it is the width of the sheet, not of the photograph.
+        # A width that is given or assumed is the width of the sheet, not of the photograph.
         of_sheet = page_width_mm is not None or assumed
         page = Page(flat, page.size_mm[0] / flat.shape[1] if of_sheet else page.mm_per_pixel)
         notices.append(LAID_FLAT)
@@ -255,7 +255,7 @@ def open_text(
 
 
 class PageSource(OpticalSource):
-    """Source of the frames of a virtual finger that reads a page by lines or on a recorded path.
+    """Frames of a virtual finger that reads a page line by line, or moves along a recorded path.
 
     ``seed`` determines the noise of the sensor. Frames do not depend on the order of reads.
     """
