@@ -2,11 +2,11 @@
 
 The wire format and safe dialogues are in `etactilekit_line`.
 
-The board reads its pattern at the start of a scan, so a pattern must be loaded before that. The
-driver loads a pattern, enables pulses for the requested number of scans, and stops pulses. A board
-does not report scans, but each scan changes its readings. Two queries with different readings
-bracket a scan, which determines the times of all other scans (`ScanLock`). Before the first bracket
-and on a slow line, pulses are enabled for more than a period, and reports state a range of scans.
+The board reads its pattern when a scan starts. The driver loads a pattern, enables pulses for the
+requested number of scans, and stops pulses. A board does not report scans, but each scan changes
+its readings. If two queries return different readings, a scan started between them, and the times
+of all other scans follow (`ScanLock`). Before these times are known, and on a slow line, pulses are
+enabled for more than a period. Reports then state the smallest and largest number of scans.
 """
 
 import math
@@ -33,35 +33,35 @@ from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence, ScanTiming
 
 FIRMWARES = ("71adee2", "newest")  # known firmware versions, by commit
-NEWEST_ZERO_MS = 520.0  # the newest firmware stops 500 ms after the host's last byte
+NEWEST_ZERO_MS = 520.0  # newest firmware: time from the host's last byte to zero (timeout 500 ms)
 IDLE_S = 0.1  # time without a sequence after which zeros are loaded
 VOLTS_PER_COUNT = 0.0893
 DUMMY_KOHM = 66.0  # load in parallel with the skin; the load carries V / 66 kΩ
 COMPLIANCE_V = 300.0  # voltage limit of the switches (HV513), so no reading is larger
 LONGEST_LOAD = 0.97  # largest share of a period that a scan may take
-OPEN_SHARE = 0.95  # if all slots reach this share of the voltage without skin, the finger is lifted
+OPEN_SHARE = 0.95  # share of the voltage without a finger; no finger is there if all slots reach it
 
 LOW, HIGH = 4, 12  # a reading below 4 (0.3 V) means no pulse; 12 (1 V) or more means a pulse
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
 WIDE_NS = 1_000_000  # if the start of a scan is more uncertain than this, a query locates the scan
 KEEP_NS = 100_000_000  # longest pause between queries: the newest firmware stops after 500 ms
 TOLERANCE = 200e-6  # largest relative difference of two clocks, each within 100 ppm
-WIDEST = 0.25  # largest uncertainty of a known scan start, as a share of the period
+WIDEST = 0.25  # share of the period; a scan start that is more uncertain counts as unknown
 
 
 class ScanLock:
-    """Bounds of the start of each scan, learned from brackets.
+    """Earliest and latest start of each scan, calculated from brackets.
 
     A bracket is a pair of times between which a scan has certainly started, even if the host was
-    delayed. The bounds of later scans follow from the period, within the tolerance of the clocks of
-    host and board.
+    delayed. The period gives the starts of all other scans, with a tolerance for the clocks.
 
     Attributes
     ----------
     period_ns : int
         Period of the scans.
     last : Span or None
-        Bounds of the start of scan number 0, the scan of the last bracket; None if unknown.
+        Earliest and latest start of the scan in the last bracket; None if unknown. This scan has
+        number 0, the scan after it number 1.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -97,7 +97,7 @@ class ScanLock:
         )
 
     def learn(self, bracket: Span) -> None:
-        """Narrow the bounds by a bracket; ignore a bracket that is too wide to tell scans apart."""
+        """Use a bracket to narrow the bounds, unless several scans may have started in it."""
         if self.last is None:
             if bracket.late - bracket.early <= WIDEST * self.period_ns:
                 self.last = bracket
@@ -128,11 +128,11 @@ class ShownPattern:
 
     proved: ProvedSequence
     since: Span
-    before: Readings  # readings of the previous scan
+    before: Readings  # readings before the pulses were enabled
     is_seen: bool = False  # whether readings have shown the pattern's pulses
 
     def pulsed(self, readings: Readings) -> NDArray[np.bool_]:
-        """Return which outputs have certainly pulsed, from new readings, (N,) bool."""
+        """Return which outputs have certainly pulsed, (N,): their reading has risen to `HIGH`."""
         return (self.before < LOW) & (readings >= HIGH)
 
 
@@ -184,9 +184,9 @@ class ETactileKitDriver(Driver):
         self._shown: ShownPattern | None = None
         # time of the last query, and its readings
         self._before: tuple[int, Readings] | None = None
-        self._answer_ns = 0  # shortest duration of recent answers
+        self._answer_ns = 0  # shortest time from a recent query to its answer
         self._stopped_ns = self._free_ns = 0
-        self._seen_ua = 10**6  # current of the weakest pattern seen in readings
+        self._seen_ua = 10**6  # smallest current of a pattern that changed readings
 
     # -- opening and closing -----------------------------------------------
 
@@ -279,7 +279,7 @@ class ETactileKitDriver(Driver):
             "etactilekit", self.ua_per_count, self._limits, width_us, level_ua, electrode
         )
         counts = np.minimum(steps, wire.LARGEST)
-        # Avoid bytes that look like commands: if the byte before were lost, they would be executed.
+        # Avoid the values of commands: after a lost byte, the board may read a byte as a command.
         low = counts & 0xFF
         counts -= np.where(low >= wire.FIRST_COMMAND, low - (wire.FIRST_COMMAND - 1), 0)
         heights = np.zeros(self._outputs, "<u2")
@@ -288,7 +288,7 @@ class ETactileKitDriver(Driver):
 
     def write(self, proved: ProvedSequence) -> None:
         line = self._kit.line
-        # A sequence that waited for an earlier one is not late.
+        # A sequence is not late if it had to wait for an earlier one.
         proved = line.later(proved, max(proved.due_ns, self._free_ns))
         try:
             if line.now_ns() > proved.write_before_ns:
@@ -358,13 +358,13 @@ class ETactileKitDriver(Driver):
             if self._kit.exchange(commands) is None:
                 return False
         if settings.rate_hz != before_hz:
-            # The newest firmware first finishes the current period.
+            # The newest firmware applies a new rate only after the current period.
             self._kit.line.wait_until(self._kit.line.now_ns() + 10**9 // before_hz + MARGIN_NS)
         self._settings, self._scan_ns = settings, 1000 * settings.scan_us(self._outputs)
         return True
 
     def _load(self, pattern: bytes) -> bool:
-        """Load a pattern while pulses are stopped; return whether the board confirmed this."""
+        """Stop pulses, then load a pattern; return whether the board confirmed both."""
         self._on_board = b""
         if self._kit.exchange(wire.LOAD + pattern) is not None:
             self._on_board = pattern
@@ -373,14 +373,14 @@ class ETactileKitDriver(Driver):
     # -- the scans of the board -----------------------------------------------
 
     def _ask(self, body: bytes, *, drives: ProvedSequence | None = None) -> Span | None:
-        """Send commands and return the time span of execution. If a reading has changed since the
-        last query, a scan has passed: update the bounds of scans."""
+        """Send commands; return the earliest and latest time of execution, None after an error. If
+        a reading has changed since the last query, a scan took place: update `_lock`."""
         before, settings, self._before = self._before, self._settings, None
         if (answer := self._kit.exchange(body, ask=True, drives=drives)) is None:
             return None
         span, now = answer
         self._before = span.early, now
-        # A query during a scan is answered late, after the scan: keep the shortest time.
+        # If a query arrives during a scan, its answer comes late: keep the shortest time.
         took_ns = span.late - span.early
         self._answer_ns = min(took_ns, self._answer_ns * 9 // 8 or took_ns)
         if before is None or settings is None:
@@ -388,15 +388,15 @@ class ETactileKitDriver(Driver):
         asked_ns, then = before
         rises, falls = (then < LOW) & (now >= HIGH), (then >= HIGH) & (now < LOW)
         if (rises | falls).any():
-            # smallest duration of a slot: its discharge may be short and its pulse missing
+            # smallest duration of a slot: no pulse, and a discharge `SHORTEST_US` below its setting
             rest_us = max(0, settings.discharge_us - wire.SHORTEST_US)
             if self._firmware == "71adee2":
                 # This firmware answers no query during a scan, so the complete scan has passed.
                 slots, early_ns = self._outputs, asked_ns
                 rest_us += settings.width_us if rises.any() else wire.SHORTEST_US
             else:
-                # The slot whose reading changed was between the two queries. The scan began
-                # ``slots`` slots before this slot.
+                # The slot whose reading changed took place between the two queries. Its scan
+                # started ``slots`` slots earlier.
                 slots = int((rises | falls).argmax())
                 early_ns = asked_ns - 1000 * slots * settings.scan_us(1, 25)
             self._lock.learn(Span(early_ns, span.late - 1000 * slots * rest_us))
@@ -448,7 +448,7 @@ class ETactileKitDriver(Driver):
                         self._look(shown, self._before[1])
 
     def _look(self, shown: ShownPattern, readings: Readings) -> None:
-        """Record the start of the pattern's first scan once readings show its pulses."""
+        """When readings first show the pulses, set ``since`` to the start of their scan."""
         scan = self._lock.last
         if not shown.is_seen and shown.pulsed(readings).any():
             shown.is_seen = True
@@ -480,7 +480,7 @@ class ETactileKitDriver(Driver):
             if pulsed.any():
                 least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
             elif level_ua >= self._seen_ua and (readings < LOW).all():
-                # Weaker pulses gave readings before, so no scan took place: forget the scan times.
+                # Weaker pulses changed readings, but these did not: no scan took place.
                 self._lock.last, least = None, 0
             if least:
                 volts, lifted = (readings * VOLTS_PER_COUNT).astype(np.float32), None

@@ -71,8 +71,8 @@ class Settings:
 
     def commands(self, between_hz: int) -> bytes:
         """Return the commands for the settings, each twice. Zeros follow each command: if a byte of
-        a 16-bit number is lost, the pulse may get shorter, but not longer. ``between_hz`` is the
-        scan rate during the change: scans with old and with new settings must fit its period."""
+        a 16-bit number is lost, the pulse may get shorter, but not longer. During the change the
+        scan rate is ``between_hz``, slow enough for scans with old and with new settings."""
         once = (
             QUIET + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
             + b"\xf6" + between_hz.to_bytes(2, "little") + _END
@@ -121,7 +121,7 @@ ECHO_S = 0.1  # longest wait for the answer to PING
 CHIPS_S = 0.5  # longest wait for the answer to CHIPS
 MORE_S = 0.03  # wait for additional bytes: USB chips hold bytes for 16 ms
 FORGETS_S = 2.15  # pause after which the board drops a partial command
-MOST_LOSSES = 4  # consecutive lost commands after which the board cannot be driven safely
+MOST_LOSSES = 4  # largest number of lost commands in a row; after more, the board is not safe
 LOOKS = 5  # attempts to get an echo; if all fail, the firmware counts as too old
 
 
@@ -174,8 +174,8 @@ class ETactileKitLine:
     def _answers(
         self, query: bytes, *attempts: tuple[bytes, float], then: tuple[bytes, ...] = ()
     ) -> Iterator[bytes]:
-        """For each attempt, send its bytes and pause: this resynchronizes the parser. Then send
-        the commands ``then`` and the query, and yield the first byte of the answer."""
+        """Yield the first byte of the answer to a query, for each attempt. An attempt sends bytes
+        and pauses, which resynchronizes the parser, then sends ``then`` and the query."""
         for data, pause_s in attempts:
             self.line.write(data)
             self.line.pause(pause_s)
@@ -202,8 +202,8 @@ class ETactileKitLine:
                 f"the eTactileKit at {line.name} has {capacity} outputs, the profile needs "
                 f"{self.outputs}: use the profile of this board"
             )
-        # PING echoes the number of electrodes, which AT_REST has set to zero. Firmware without PING
-        # answers only CHIPS.
+        # AT_REST has set the number of electrodes to 0, and PING returns this number. Firmware
+        # without PING answers only CHIPS.
         if b"\0" + answer not in (line.ask(PING + CHIPS, 2, CHIPS_S) for _ in range(LOOKS)):
             for command in AT_REST:
                 line.write(command)
@@ -236,9 +236,9 @@ class ETactileKitLine:
     def exchange(
         self, body: bytes, *, ask: bool = False, drives: ProvedSequence | None = None
     ) -> tuple[Span, Readings] | None:
-        """Send commands and wait for their execution. Return the time span and, with ``ask``, the
-        readings from before the commands, (N,), in the order of outputs. After a wrong answer,
-        resynchronize and return None. ``drives`` is the sequence that the commands start."""
+        """Send commands, which may start the sequence ``drives``, and wait for their execution.
+        Return the earliest and latest time of execution, and with ``ask`` the readings before that,
+        (N,), in the order of outputs. After a wrong answer, resynchronize and return None."""
         expected, begun_ns = 2 * self.outputs * ask + 1, self.line.now_ns()
         answer = self.line.ask(READINGS * ask + body + PING, expected, ECHO_S, drives)
         span = Span(begun_ns, self.line.now_ns())
@@ -265,12 +265,12 @@ class ETactileKitLine:
 
 
 BEAT_S = 0.02
-ENDS_WITHIN_S = 1.5  # longest wait for the end of the watchdog; zero for 253 outputs takes 0.4 s
+ENDS_WITHIN_S = 1.5  # longest wait until the watchdog has ended; its zero command may take 0.4 s
 BYTES_PER_MS = 92  # transmission on a serial line of 921,600 Bd
-KEPT_MS = 100.0  # longest time from the end or hang of this program to the first byte of zero
+KEPT_MS = 100.0  # after this program ends or hangs, the watchdog starts to write within this time
 STALE_NS = int(0.8e9 * watchdog.SILENCE_S)
-"""Time since the last heartbeat after which this program stops writing. The watchdog waits longer,
-so no byte of this program can arrive after the zero that the watchdog writes."""
+"""If the last heartbeat is older than this, this program writes nothing. The watchdog waits longer
+before it sets the board to zero, so this program stops writing first."""
 COMMAND = [sys.executable, "-I", "-S", watchdog.__file__]
 """Command of the watchdog, in isolated mode, so that user settings or packages cannot prevent its
 start."""
@@ -316,7 +316,7 @@ class WatchedPort:
 
     @property
     def left_to_watchdog(self) -> bytes:
-        """Bytes that the watchdog has written at its end."""
+        """Bytes that the watchdog wrote before it ended."""
         return 2 * self._zero if self.at_zero and self._beaten_ns is not None else b""
 
     def arm(self) -> None:
@@ -330,13 +330,13 @@ class WatchedPort:
     def write(self, data: bytes) -> int:
         """Write bytes.
 
-        Raises SerialException if the watchdog has ended or may be writing zero. If this program was
-        paused just before the write, ``data`` may arrive after the zero of the watchdog. Then zero
-        is written again at once.
+        Raises SerialException if the watchdog has ended or may be setting the board to zero. If
+        this program pauses just before the write, ``data`` may reach the board after the zero
+        command of the watchdog. This method then repeats the zero command at once.
         """
         self._require_beat(b"")
         self._port.write(data)
-        # Write zero twice, because the first may only complete an incomplete command.
+        # Repeat the zero command: the first may only complete an incomplete command.
         self._require_beat(2 * self._zero)
         return len(data)
 
@@ -373,7 +373,7 @@ class WatchedPort:
             self._port.close()
 
     def _end(self) -> None:
-        """Let the watchdog set the board to zero and end. If the watchdog failed, write zero."""
+        """Let the watchdog set the board to zero and end. If it fails, send the zero command."""
         self._control.close()
         try:
             self._process.wait(ENDS_WITHIN_S)

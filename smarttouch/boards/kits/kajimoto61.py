@@ -38,7 +38,7 @@ WIDTH_US, REST_US = 50, 150
 LARGEST = 200
 COUNTS_PER_BYTE = 16
 HURRY = 20  # after a late packet, the next packet may follow 1/20 of a period early
-LEAD_S = 0.003  # delay of a run's first packet, so that later sequences may arrive this much late
+LEAD_S = 0.003  # a run's first packet is delayed by this time, a reserve for delays of later ones
 
 
 class Kajimoto61Driver(Driver):
@@ -58,7 +58,7 @@ class Kajimoto61Driver(Driver):
                 f"{limits.electrodes}: use the profile {self.default_profile}"
             )
         self.port, self._limits = port, limits
-        # planned time of the next packet; None if the next packet starts a new grid of times
+        # planned time of the next packet; None if it does not depend on earlier packets
         self._next_ns: int | None = None
         self._skipped, self._note_ns = 0, 0
         self._period_ns = 0

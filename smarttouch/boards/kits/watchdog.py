@@ -23,7 +23,7 @@ import time
 SILENCE_S = 0.09  # host timeout; leaves time to wake up and write zero within 0.1 s
 PRIORITY = 2  # real-time priority, above the program's 1, so that a hanging program cannot block it
 STUCK_S = 0.4  # after this time without an accepted byte, the port counts as blocked
-PIECE, PAUSE_S = 8, 0.003  # bytes of each piece of the second zero command, and pause after a piece
+PIECE, PAUSE_S = 8, 0.003  # write the second zero command 8 bytes at a time, with pauses of 3 ms
 GONE, SILENT, BLOCKED = 7, 3, 5
 """Exit codes. GONE: the program has ended. SILENT: the heartbeats have stopped. BLOCKED: zero could
 not be written. A program that ignores SIGCHLD sees 0 for any process, so 0 is not used."""
