@@ -46,7 +46,7 @@ SEQUENCE = struct.Struct("<IHHBB")  # period µs, times, intensity, flags, numbe
 GROUP = struct.Struct("<BBH")  # kind, pulse shape and number of slots
 POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups
 MEASURE, RECHARGE, MORE, GOES_ON = 1, 2, 4, 8  # flags of a sequence
-FULL = 0xFFFF  # intensity 1; also the largest sum of a slot's amplitudes
+FULL = 0xFFFF  # encodes intensity 1; also the largest sum of the amplitudes of a slot
 KERNELS = struct.Struct("<16sII")  # identity, size and offset
 KEPT = struct.Struct("<16sIB16s")
 """Payload of KEPT: identity of the stored kernels, number of stored bytes, whether all kernels are
@@ -57,11 +57,11 @@ REPORT = struct.Struct("<IIQIIIIBIIIII")
 """Payload of REPORT. Numbers: sequences, slots, pulses, violations. Largest values: current µA,
 charge pC, residual charge pC. Numbers: executing and waiting sequences, old packets, packets of
 other sessions. Largest net charge in a second pC. Session: seconds with current, charge µC."""
-NOTHING = 0xFFFF  # in a NAK: no electrode, or no slot, for example in the recharge phase
+NOTHING = 0xFFFF  # value of slot or electrode in a NAK, if there is none
 
 
 def digest_of(data: bytes, session: int | None = None) -> bytes:
-    """Return the identity of encoded kernels or, for a ``session``, the proof of their storage."""
+    """Return the digest that identifies kernels; with ``session``, the one that proves storage."""
     head = b"" if session is None else session.to_bytes(8, "little")
     return hashlib.sha256(head + data).digest()[:16]
 

@@ -32,7 +32,7 @@ from smarttouch.stimulation.scan_sequence import KernelTable
 
 HEARTBEAT_S = 0.03  # longest time without a packet of the host; the board's timeout is 0.1 s
 SILENCE_S = 0.5  # silence after which a board is lost: in a session, boards send every 20 ms
-LISTENED_S = 0.1  # largest silence that one read adds: a read takes longer if this computer pauses
+LISTENED_S = 0.1  # largest silence counted for one read; if it takes longer, this computer paused
 ANSWER_S = 1.0
 ASKED_AGAIN_S = 0.25  # time after which a query is sent again
 PAUSED_S = 1.0  # a refusal within this time after a pause of this computer is blamed on the pause
@@ -42,18 +42,18 @@ AFTER_ZERO_S = 0.02  # time after a confirmed stop in which no slot may follow: 
 MOST_COMPLIANCES = 2.1  # largest valid ratio of slot voltage to compliance: two sources reach 2
 OPEN_SHARE = 0.97  # if all voltages reach this share of the compliance, the finger is lifted
 _PIECE = 1024  # bytes of kernels per packet; longer packets would block the line too long
-_IDLE = 3  # after this number of packets without progress, storing kernels has failed
+_IDLE = 3  # number of packets without progress after which storing kernels has failed
 _COUNTED = "sequences", "slots", "pulses", "violations", "refused_packets"
 
 
 class LinkSession:
-    """Session with a board, including the HELLO before it. Each `open` begins a new session. A
-    fault is stored, and the next call raises it.
+    """Session with a board. Each `open` starts a new session, which begins with HELLO. A fault is
+    stored, and the next call raises the fault.
 
     Parameters
     ----------
     receive : callable
-        Called with each unrequested packet, while `news` is held.
+        Called with each packet that is not an answer. The lock `news` is held during the call.
     draw : callable
         Returns the host's half of a new session number.
     """
@@ -78,7 +78,7 @@ class LinkSession:
         self._restart()
 
     def _restart(self) -> None:
-        self.number: int = self._draw()  # the upper half is 0 until the board has answered HELLO
+        self.number: int = self._draw()  # session number; upper half 0 until HELLO is answered
         self.begun: bool = False  # whether the board has answered BEGIN
         self.sent: int = 0  # number of the last packet sent
         self.fault: BoardError | None = None
@@ -101,7 +101,7 @@ class LinkSession:
         self._reader.start()
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait for a condition, with `news` held; return whether it holds."""
+        """Wait for a condition; return whether it is true. The caller holds the lock `news`."""
         return self.news.wait_for(condition, timeout_s)
 
     def close(self) -> None:
@@ -194,7 +194,7 @@ class LinkSession:
             self.paused_at_s = self.written_s
 
     def fail(self, fault: BoardError) -> None:
-        """Store a fault, unless one is stored; the next call raises it."""
+        """Store a fault, unless an earlier one is stored; the next call raises the stored fault."""
         with self.news:
             self.fault = self.fault or fault
             self.news.notify_all()
@@ -248,7 +248,7 @@ class LinkSession:
         return taken
 
     def refuse(self) -> None:
-        """Count a refused packet, but not before CAPABILITIES: old runs may have left packets."""
+        """Count a refused packet, except before CAPABILITIES: it may be from an earlier run."""
         self.refused += self.number > HALF
 
     def _accept_offer(self, offer: Message) -> bool:
@@ -264,9 +264,9 @@ class LinkSession:
         return True
 
     def start_ns(self, board_us: int, sent_ns: int, now_ns: int) -> int:
-        """Return the start of a sequence by the host's clock. The fastest of the last 16 answers
-        gives the clock offset. ``board_us`` is the start by the board's clock, ``sent_ns`` the time
-        of sending, ``now_ns`` the time of the answer."""
+        """Return the start of a sequence by the host's clock. ``board_us`` is the start by the
+        board's clock, ``sent_ns`` the time of sending, ``now_ns`` the time of the answer. The
+        fastest of the last 16 answers gives the offset of the clocks."""
         if self._ahead_ns and 1000 * board_us + min(self._ahead_ns) < sent_ns:
             # A start before the sending is impossible: the board's clock has paused.
             self._ahead_ns.clear()
@@ -299,12 +299,12 @@ class LinkDriver(Driver):
         self._output, self._limits = output, limits
         self.can: Capabilities | None = None  # known after CAPABILITIES
         self._number = 0
-        self._last_report: BoardReport | None = None  # report of the stopped board
-        self._report: BoardReport  # report at the last opening
-        self._first: BoardReport  # report at the first opening, or after a new power-on
-        self._slots_sent = 0  # slots sent since the last opening, with repetitions
-        self._unsafe_refused = 0  # sequences that the board may have refused as unsafe
-        self._suspicion = ""  # fault found in reports; `idle` latches the board
+        self._last_report: BoardReport | None = None  # report after the stop
+        self._report: BoardReport  # report at the last opening or reconnection
+        self._first: BoardReport  # report at the last opening or power-on; counts start here
+        self._slots_sent = 0  # slots sent since `_report`; each repetition counts
+        self._unsafe_refused = 0  # largest possible number of sequences refused as unsafe
+        self._suspicion = ""  # fault in voltages, or ""; the next `idle` stops the board for good
         self._table: KernelTable | None = None
         self._image: encoding.KernelImage | None = None
         self._sent: dict[int, SentPart] = {}  # recent parts by number
@@ -483,14 +483,14 @@ class LinkDriver(Driver):
         self._give_kernels()
 
     def _give_kernels(self) -> None:
-        """Store the kernels that fit on the board. Send slots with other kernels as currents."""
+        """Store the kernels that fit on the board. Slots of other kernels are sent as currents."""
         can, self._image = self.can, None
         if self._table is None or can is None or not can.kernel_bytes or not can.packet_bytes:
             return
         image = encoding.KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
         piece = min(_PIECE, can.packet_bytes - encoding.OVERHEAD - protocol.KERNELS.size)
         at, furthest, data, idle = 0, 0, b"", 0
-        # Send only kernels not stored yet. A board that stores nothing new counts as lost.
+        # Send only what the board has not stored. If it stores nothing new, it counts as lost.
         while idle < _IDLE:
             head = protocol.KERNELS.pack(image.identity, len(image.data), at)
             answer = self._session.ask(MessageKind.KERNELS, head + data).payload
@@ -509,7 +509,7 @@ class LinkDriver(Driver):
             idle = 0 if stored > furthest else idle + 1
             furthest = max(furthest, stored)
             at, data = stored, image.data[stored : stored + piece]
-        # The session may have ended, for example after a pause of 100 ms of the host.
+        # Perhaps the session has ended, for example because this program paused for 100 ms.
         raise LineLostError(
             f"the board at {self._line.name} does not store the kernels sent to it: check "
             "its firmware"
@@ -545,7 +545,7 @@ class LinkDriver(Driver):
     # -- packets of the board ----------------------------------------------
 
     def _receive(self, message: Message) -> None:
-        """Handle an unrequested packet, with the session's `news` held."""
+        """Handle a packet that is not an answer. The caller holds the session's lock `news`."""
         can, session, line, payload = self.can, self._session, self._line, message.payload
         if can is not None and can.emergency_switch and message.state & protocol.SWITCH_OPEN:
             session.fail(self._emergency())
@@ -613,7 +613,7 @@ class LinkDriver(Driver):
         line.board.refused += 1
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             self._unsafe_refused += 1
-            # By the board's clock, intensity may rise too fast: restart at zero intensity.
+            # `Rule.RISE`: intensity rises too fast by the board's clock. Restart at intensity 0.
             lost = line.lost(f"refused sequence {message.about} as unsafe: {words}")
             session.fail(lost if rule == Rule.RISE else BoardError(str(lost)))
         elif why == Refusal.STOPPED and not line.is_stopped:

@@ -111,7 +111,7 @@ class _Columns(NamedTuple):
     keys: list[tuple[int, int]]  # kind and index into `shapes` of each slot
     first: list[int]  # index of each slot's first pair in ``pairs``; last item: number of pairs
     pairs: bytes  # pairs of kernel and amplitude
-    rows: bytes  # of each slot: site and currents; with one source: site, source current, states
+    rows: bytes  # of each slot: site and currents; for one source, see `_switched_rows`
 
 
 def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) -> _Columns:
@@ -152,7 +152,7 @@ def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) 
 
 
 def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> bytes:
-    """Return as bytes, for each slot: site, source current, and states of all electrodes."""
+    """Encode each slot as site, current of the source, and states of all electrodes."""
     # The gate allows only currents that fit 16 bits.
     source_ua = np.maximum(current_ua, 0).sum(axis=1)
     bits = np.stack([current_ua > 0, current_ua < 0], axis=-1).reshape(len(site), -1)
@@ -164,7 +164,7 @@ def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> b
 def _payload(
     sequence: ScanSequence, columns: _Columns, start: int, end: int, times: int, measure: bool
 ) -> bytes:
-    """Return the payload of slots ``start`` to ``end``; the last includes the recharge phase."""
+    """Encode slots ``start`` to ``end`` - 1. After the last slot, add the recharge phase."""
     shapes, keys, first, pairs, rows = columns
     flags = protocol.GOES_ON * (start > 0) | protocol.MORE * (end < len(keys))
     flags |= protocol.MEASURE * measure
