@@ -39,7 +39,7 @@ from smarttouch.stimulation.sequence_limits import Dose
 
 __all__ = ["Board", "BoardReport", "Capabilities"]
 
-FARTHEST_NS = 10_000_000_000  # longest time until a planned start; rejects times of another clock
+FARTHEST_NS = 10_000_000_000  # longest time until a planned start; if longer, the clock is wrong
 PROBES = 10  # attempts at each measuring scan, because a busy computer can lose readings
 ENDS_WITHIN_S = 3.0  # longest wait for the end of the sender thread
 QUEUED_S = 0.5  # `send` waits for an empty queue at most this time plus four periods
@@ -151,7 +151,7 @@ class Board:
         self._news = threading.Condition()
         self._waiting: ProvedSequence | None = None
         self._busy = False
-        self._failure: BoardError | None = None  # of the sender thread; the next `send` raises it
+        self._failure: BoardError | None = None  # error of the sender thread, for the next `send`
         self._over_s = 0.0  # time at which the written scans end, by time.monotonic
         self._sender: threading.Thread | None = None
         self._ending = threading.Event()
@@ -187,7 +187,7 @@ class Board:
             )
         enter(self)
         try:
-            # Reset the ramp, and accept a sequence with an earlier time than the last sequence.
+            # Reset the ramp. The times of sequences may start at 0 again.
             self._gate.begin_session()
             self._zeroed = False
             self._stopped.clear()
@@ -202,7 +202,7 @@ class Board:
             self._opened = True
             self._line.require_running()
         except BaseException:
-            # If Ctrl-C arrives after the board was opened, `close` also unregisters it.
+            # If the board is already open (Ctrl-C), `close` sets it to zero and unregisters it.
             if self._opened:
                 self.close()
             else:
@@ -256,7 +256,7 @@ class Board:
             except OtherDeviceError as other:
                 raise BoardError(f"{lost}; {other}") from None
             except BoardError as again:
-                # Try again only if the connection failed or the device is silent (still starting?).
+                # Try again if the connection failed, or if a silent device may still be starting.
                 if not left or not isinstance(again, LineLostError | SilentBoardError):
                     raise lost from None
         # After an interruption the ramp starts at zero intensity again.
@@ -299,7 +299,7 @@ class Board:
                     try:
                         self._line._put_at_zero()
                     except (BoardClosedError, LineLostError):
-                        # Ignore a loss that was known before, if the board stops without a host.
+                        # A board that was lost earlier has stopped, if it has a host timeout.
                         if not self._is_lost or self.capabilities.time_to_zero_ms is None:
                             raise
             self._zeroed = True
@@ -528,7 +528,7 @@ class Board:
             self._volts.clear()
             return measure_by_probes(self._probe, self._limits, self._output, self.capabilities)
         finally:
-            # Reset the ramp, and accept a sequence with an earlier time than the last sequence.
+            # Reset the ramp. The times of sequences may start at 0 again.
             self._gate.restart()
 
     def _probe(self, probe: ScanSequence) -> NDArray[np.float64]:
@@ -564,7 +564,7 @@ class Board:
         -------
         (int, int) or None
             Start by `clock`, ns, and by the board's clock, µs since the board was switched on. The
-            time by `clock` is too late by the shortest delay of the line. None if the board does
+            time by `clock` is late by the shortest delay of the line. None if the board does
             not report starts, has not reported this start yet, or has reported many later starts.
         """
         return self._starts.get(number)
@@ -590,8 +590,8 @@ class Board:
         return self._gate.dose
 
     def _require_own(self, use: str = "") -> None:
-        """Raise BoardError in a forked process, because its parent owns the board. With ``use``,
-        the name of an action, also raise it if the board is not open."""
+        """Raise BoardClosedError in a forked process: its parent owns the board. With ``use``, an
+        action that needs an open board, raise this error also if the board is not open."""
         if self._opened and self._opened_by != os.getpid():
             raise BoardClosedError(
                 f"the board belongs to process {self._opened_by}, which forked this process: make "

@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 __all__ = ["Driver", "Line"]
 
 PIECE = 4096  # bytes written at once: a stop waits for one piece, not for a complete packet
-WRITE_S = 0.6  # longest wait of a stop for one write: ports give up after 0.5 s
-BLOCKED_S = 1.0  # longest wait of `Driver.zero` for a write that blocks
+WRITE_S = 0.6  # a stop waits at most this time for a running write; a port gives up after 0.5 s
+BLOCKED_S = 1.0  # `Driver.zero` waits at most this time for a write that blocks
 RECOVER_S = 3.0  # longest wait for a lost port to come back
 _MOST_STARTS = 256
 
@@ -249,7 +249,7 @@ class Line:
 
     @contextlib.contextmanager
     def current(self, proved: ProvedSequence | None = None) -> Iterator[None]:
-        """Hold the lock of `Board.stop` in a block that writes to a device without a port. At the
+        """Hold the lock of `Board.stop` during a ``with`` block that writes to the device. At the
         end of the block the sequence counts as written. Arguments and errors as for `write`."""
         board, begun, zeroing = self.board, False, threading.get_ident() in self._zeroing
         # If a finger may be on the board, delay exceptions of signal handlers until the write ends.
@@ -277,7 +277,7 @@ class Line:
                     can = board.capabilities
                     passes = 1 if can.host_timed else proved.times
                     board._over_s = time.monotonic() + passes * proved.sequence.period_us / 1e6
-                    # A sequence sent in parts counts once.
+                    # All parts of a sequence have the same number: count only the first part.
                     if not (can.acknowledges or can.host_timed or proved.number == board._counted):
                         self.delivered(proved, proved.times)
             finally:
@@ -420,7 +420,7 @@ class Line:
     # -- reports of a driver, from any thread ----------------------------------
 
     def started(self, proved: ProvedSequence, time_ns: int, board_us: int) -> None:
-        """Report the start of a sequence, by `now_ns` and by the device's clock, µs."""
+        """Report the start of a sequence: by `now_ns`, and in µs by the clock of the device."""
         starts = self.board._starts
         starts[proved.number] = time_ns, board_us
         self.board.acknowledged += 1
@@ -440,8 +440,8 @@ class Line:
     def measured(
         self, sequence: ScanSequence, volts: NDArray[np.float32], lifted: bool | None = None
     ) -> None:
-        """Report the voltage of each slot of a delivered sequence, (S,) V. ``lifted`` tells whether
-        nothing touches the electrodes, by these voltages; None if unknown."""
+        """Report the voltage of each slot of a delivered sequence, (S,) V. ``lifted`` is
+        whether the voltages show that nothing touches the electrodes; None if unknown."""
         self.board._volts.append((sequence, volts))
         if lifted is not None:
             self.board.lifted = lifted

@@ -17,8 +17,8 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 SATURATED = 0.97  # share of the compliance at which a source counts as saturated
 OPEN_FACTOR = 5.0
 SHORT_FACTOR = 0.1
-"""Share of the median impedance below which an electrode is shorted (our estimate); good electrodes
-differ by a factor of two or three."""
+"""An electrode counts as shorted below this share of the median impedance (our estimate). Good
+electrodes differ by a factor of two or three."""
 
 Array = NDArray[np.float64]
 Condition = Literal["good", "open", "short", "unsure"]  # unsure: measurements disagree

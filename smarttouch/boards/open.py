@@ -30,8 +30,8 @@ _WITHOUT_FINGER: dict[str, dict[str, Any]] = {
     "memory": {"on_a_finger": False, "claimed_time": True},
     "simulated": {"on_a_finger": False, "claimed_time": True, "simulated_time": True},
 }
-"""Arguments of `Board` for boards that no finger can touch. A finger may be on all other boards,
-including those of other packages; these boards use the machine's clock."""
+"""Arguments of `Board` for boards that no finger can touch. For other boards, including those
+of other packages, the defaults of `Board` apply: a finger may be on them."""
 
 
 def make_board(

@@ -78,8 +78,8 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class BoardReport:
-    """Delivery report of a board since it was opened. Maxima in the board's own report are since it
-    was switched on."""
+    """Delivery report of a board since it was opened. If the board itself makes the report, its
+    maxima are those since the board was switched on."""
 
     sequences: int
     slots: int
@@ -89,8 +89,8 @@ class BoardReport:
     max_current_ma: float
     max_charge_uc: float
     max_net_charge_uc: float
-    """Largest charge left on an electrode after a discharge; in a host's report, the largest net
-    charge of all pulses of an electrode."""
+    """Largest charge left on an electrode after a discharge. In a report by the host, the largest
+    net charge of an electrode, summed over all its pulses."""
     refused_packets: int = 0
     """Number of packets that the board refused because they were old or of another session."""
     is_busy: bool = False
@@ -100,12 +100,12 @@ class BoardReport:
     by: Literal["board", "host"] = "board"
     """Author of the report, board or host."""
     most_pulses: int | None = None
-    """Upper bound of pulses, if the host knows only a range; slots and pulses are then lower
-    bounds."""
+    """Largest possible number of pulses, if the host does not know the exact number. `slots` and
+    `pulses` are then the smallest possible numbers."""
 
 
 class HostStatistics:
-    """Delivery statistics that the host counts; ``report`` has the result."""
+    """Delivery statistics, counted by the host; the result is ``report``."""
 
     def __init__(self, electrodes: int) -> None:
         self.report: BoardReport = BoardReport(0, 0, 0, 0, 0.0, 0.0, 0.0, by="host", most_pulses=0)
@@ -115,7 +115,7 @@ class HostStatistics:
         self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None
     ) -> None:
         """Add ``times`` passes of a sequence. If ``most`` is given, the number of passes is between
-        ``times`` and ``most``. If ``again``, the sequence is counted already: count only passes."""
+        ``times`` and ``most``. With ``again``, the sequence is already counted: add only passes."""
         most, old = times if most is None else most, self.report
         pulses = int(np.count_nonzero(sequence.current_ua))
         peaks_ua = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1) * (most > 0)

@@ -27,7 +27,7 @@ from smarttouch.base.posix import O_NOFOLLOW, try_lock
 
 ANSWER_S = 3.0  # longest wait of `stop_all` for runs to confirm zero
 _LOOK_S = 0.05
-_LOOKS_PER_CHECK = 20  # every 20th look (once a second), a run checks that its own files exist
+_LOOKS_PER_CHECK = 20  # in every 20th look (once a second), a run checks that its files exist
 _LOCK_S = 2.0
 
 
@@ -54,7 +54,7 @@ class _Run:
     def read(cls, run_id: str) -> "_Run":
         with suppress(OSError, ValueError, TypeError):
             run = cls(**json.loads(_read(registry_folder() / f"{run_id}.json")) | {"id": run_id})
-            # The sum raises TypeError if another program wrote the file, with other types.
+            # The sum raises TypeError if a value is not a number: the file is then invalid.
             if run.host and run.pid + run.start_ns + run.current_ua:
                 return run
         return cls(run_id)
@@ -104,7 +104,7 @@ class _Run:
         name, late = self.name, False
         while not late:
             late = time.monotonic() > until_s
-            # Check for the end first: otherwise an answer between the two checks would be missed.
+            # First check for the end, then for the answer: a run may answer and end in between.
             ended = self.has_ended
             withdrawn = registry_folder().exists() and not (self.has("json") or self.is_locked)
             if self.has("unconfirmed"):
@@ -129,8 +129,7 @@ class _Run:
 class RunEntry:
     """Entry of this process in the run registry.
 
-    A thread calls ``on_stop`` with the reason to end. This function returns whether all boards have
-    confirmed zero.
+    ``on_stop`` is called in a thread, with a reason, and returns whether all boards are at zero.
     """
 
     def __init__(self, on_stop: Callable[[str], bool]) -> None:
@@ -153,7 +152,8 @@ class RunEntry:
 
     def declare(self, current_ua: int, most_ua: int = 0) -> int:
         """Record the current of this process and return the sum of all processes, µA. If the sum
-        exceeds ``most_ua``, record nothing. If the current does not grow, record and return it."""
+        exceeds ``most_ua``, record nothing. A current that is not larger than before is recorded
+        without a check, and returned instead of the sum."""
         if current_ua <= self._run.current_ua:
             self._announce(current_ua)
             return current_ua
@@ -219,7 +219,7 @@ def stop_all() -> list[Answer]:
     """
     global _begun_ns
     problems, asked = [], []
-    # This program ignores the mark below, because it may open a board to set the board to zero.
+    # Count this program as started after the stop: it may open boards to set them to zero.
     _begun_ns = now_ns()
     # Write the mark before listing runs: a run that registers later sees the mark and ends.
     try:
@@ -234,7 +234,7 @@ def stop_all() -> list[Answer]:
             run.remove("json", "lock", "stop", "zero", "unconfirmed")
             continue
         try:
-            # Forget that an earlier stop failed, but not that the run has confirmed zero.
+            # Remove the answer "unconfirmed" to an earlier stop, but keep the answer "zero".
             run.remove("unconfirmed")
             run.path("stop").touch(0o600)
             asked.append(run)
@@ -271,7 +271,7 @@ def _start_ns(pid: int) -> int:
         return 0
 
 
-_begun_ns = _start_ns(os.getpid()) or now_ns()  # start of the program; its forks inherit it
+_begun_ns = _start_ns(os.getpid()) or now_ns()  # start of the program, also in forked processes
 
 
 def _place() -> tuple[str, str, str]:
@@ -299,5 +299,5 @@ def _listed() -> list[_Run]:
 
 
 def _read(path: Path) -> str:
-    # Do not read pipes, which might block.
+    # Read only regular files: reading a pipe might block.
     return path.read_text() if path.is_file() else ""

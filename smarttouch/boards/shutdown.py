@@ -56,7 +56,7 @@ class _Process:
         self.runs: list[StopRequest] = []  # one per run, and one per command that opens a board
         self.command: Command | None = None
         self.signals: _Signals | None = None
-        self.in_run = False  # whether the main thread's run ends by itself after a signal
+        self.in_run = False  # whether a run in the main thread will end by itself after a signal
         self.reason = ""  # reason why this process may no longer open boards
         self.entry: RunEntry | None = None
 
@@ -79,7 +79,7 @@ class _Process:
         try:
             if self.entry is None and not self.reason:
                 self.entry = RunEntry(self._stop_requested)
-            # Look for a stop only after registering: a stop writes its mark, then lists runs.
+            # Check only after registering: a stop that missed this run has already left its mark.
             if self.reason or self.entry is None or self.entry.is_asked or stopped_since_start():
                 raise BoardStoppedError(
                     f"this program was stopped by {self.reason or 'smarttouch stop'}, and can "
@@ -120,8 +120,8 @@ class _Process:
     def end(self, reason: str, *, for_good: bool = True) -> bool:
         """Set all boards to zero and ask all runs to end; return whether all boards have confirmed
         zero. With ``for_good``, no board can be opened afterwards."""
-        # Do not take the lock: a thread that waits for the disk may hold it. Without the lock, a
-        # board that another thread registers now is in `boards`, or its `announce` fails.
+        # Do not take the lock: a thread that waits for the disk may hold it. Another thread may
+        # register a board meanwhile. Either this board is in `boards`, or its `announce` fails.
         if for_good:
             self.reason = self.reason or reason
         boards, entry = [*self.boards], self.entry
@@ -158,9 +158,9 @@ class _Process:
 class _Signals:
     """Handler of signals that would end this process or raise KeyboardInterrupt.
 
-    A thread reads the numbers of signals from a socket. The system writes the numbers, even while
-    the main thread is blocked. If an event loop has set another file descriptor for signals, the
-    handler writes the numbers to the socket. The handler takes no locks.
+    Python writes the number of each signal to a socket, even while the main thread is blocked, and
+    a thread reads the numbers. If Python writes the numbers to an event loop instead, the handler
+    itself writes to the socket. The handler takes no locks.
     """
 
     def __init__(self, command: Command | None) -> None:
@@ -200,8 +200,8 @@ class _Signals:
             interrupt(RunStopped(self.number, _process.reason or None))
 
     def _set_wakeup(self, descriptor: int) -> bool:
-        """Let the system write signals to ``descriptor``, unless an event loop has set its own.
-        Return whether the system was using this object's descriptor before the call."""
+        """Let Python write the numbers of signals to ``descriptor``, unless an event loop has set
+        another one. Return whether Python already used the descriptor of this object."""
         before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
         if before not in (-1, self._wakes.fileno()):
             signal.set_wakeup_fd(before)
@@ -211,7 +211,7 @@ class _Signals:
         first, self.number = not self.number, self.number or number
         if not self._set_wakeup(self._wakes.fileno()):
             self._wakes.send(bytes([number]))
-        # Without a command, a run ends by itself after the first signal; the second interrupts it.
+        # Without a command, the first signal lets a run end by itself; the second interrupts it.
         orderly = self._command.orderly if self._command else _process.in_run and first
         if not orderly:
             self.end_main_thread()
@@ -244,7 +244,7 @@ def enter(board: "Board") -> None:
         return
     with _process.lock:
         if board in _process.boards:
-            # Do not register the board twice: `leave` would unregister it for both threads.
+            # Do not register the board twice: the first `leave` would remove it for both threads.
             raise BoardError("another thread is opening or closing the board: try again")
         _process.boards[board] = board.budget_ua
         try:
@@ -277,8 +277,8 @@ def current_command() -> Command:
 
 @contextmanager
 def running_command(give_up: Callable[[int], None]) -> Iterator[Command]:
-    """Let signals and stops end a command during the block. ``give_up`` ends the process if the
-    command blocks."""
+    """Let signals and stops end a command while the ``with`` block runs. If the command does not
+    end, ``give_up`` ends the process."""
     _process.command = command = Command(give_up)
     _process.handle_signals()
     try:
@@ -297,9 +297,9 @@ def running_command(give_up: Callable[[int], None]) -> Iterator[Command]:
 
 @contextmanager
 def stoppable_run(stop: StopRequest, board: "Board") -> Iterator[Callable[[], None]]:
-    """Register a run during the block. In the main thread, a signal raises RunStopped or
-    KeyboardInterrupt in the block at once. If the block has called the yielded function, the signal
-    raises this error only at the end of the block."""
+    """Register a run during the ``with`` block. In the main thread, a signal raises RunStopped or
+    KeyboardInterrupt in the block at once. After a call of the yielded function, a signal raises
+    the exception only at the end of the block."""
     if not board.announced:
         yield lambda: None
         return
