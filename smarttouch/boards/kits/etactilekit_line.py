@@ -95,7 +95,7 @@ AT_REST = (
 mode 0 in newer firmware), shortest pulses, 10 scans per second. Other known boards take these
 bytes neither as a query nor as a pattern."""
 QUIET = b"\xfb\x02\xfb\x02"  # stops pulses at the next scan
-LOAD = b"\xfb\x02\xfe"  # begins a pattern, with pulses stopped
+LOAD = b"\xfb\x02\xfe"  # stops pulses and begins a pattern
 GO = b"\xfb\0"  # starts pulses at the next scan
 
 
@@ -175,7 +175,7 @@ class ETactileKitLine:
         self, query: bytes, *attempts: tuple[bytes, float], then: tuple[bytes, ...] = ()
     ) -> Iterator[bytes]:
         """Yield the first byte of the answer to a query, for each attempt. An attempt sends bytes
-        and pauses, which resynchronizes the parser, then sends ``then`` and the query."""
+        and pauses, to resynchronize the parser; the commands ``then`` and the query follow."""
         for data, pause_s in attempts:
             self.line.write(data)
             self.line.pause(pause_s)
