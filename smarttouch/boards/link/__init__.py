@@ -56,7 +56,7 @@ NAK = struct.Struct("<BBHHii")  # reason, rule, slot, electrode, value, allowed 
 REPORT = struct.Struct("<IIQIIIIBIIIII")
 """Payload of REPORT. Numbers: sequences, slots, pulses, violations. Largest values: current µA,
 charge pC, residual charge pC. Numbers: executing and waiting sequences, old packets, packets of
-other sessions. Largest net charge in a second pC. Session: seconds with current, charge µC."""
+other sessions. Largest net charge within 1 s pC. Session: seconds with current, charge µC."""
 NOTHING = 0xFFFF  # value of slot or electrode in a NAK, if there is none
 
 
