@@ -168,7 +168,7 @@ class Line:
         self._entries: SimpleQueue[str] = SimpleQueue()  # lines of the recording; "" ends it
         self._port: Port | None = None
         self._stopped = threading.Event()
-        # Reentrant, because a signal handler may stop the board while its thread is writing.
+        # Reentrant: a signal handler may stop the board in a thread that is just writing.
         self._lock, self._dialogue = threading.RLock(), threading.RLock()
         self._zeroing: list[int] = []  # ids of threads in `Driver.zero`, one for each nested call
 
@@ -463,7 +463,7 @@ class Line:
     # -- for the board -----------------------------------------------------
 
     def _bar(self) -> None:
-        """Reject all writes except zero from now on, and wait until a running write ends."""
+        """Reject all later writes except those of `Driver.zero`, and wait for a running write."""
         self._stopped.set()
         if self._lock.acquire(timeout=WRITE_S):
             self._lock.release()
