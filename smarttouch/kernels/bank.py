@@ -92,12 +92,12 @@ class KernelBank:
         width_us: NDArray[np.float32],
         current_ua: NDArray[np.int16],
     ) -> dict[int, NDArray[np.float32]]:
-        """Return the response of the receptor under each electrode, (E,), to delivered slots, by
-        sequence number.
+        """Return the response of the receptor under each electrode, (E,), to each sequence. Keys
+        are sequence numbers.
 
         A response is 0 at the detection threshold and 1 at the strongest comfortable pulse. The
         response to a sequence is the largest one over its slots and over all classes. ``numbers``,
-        (N,), are the sequence numbers of slots; ``current_ua``, (N, E), is positive if cathodic.
+        (N,), has the sequence number of each slot; ``current_ua``, (N, E), is positive if cathodic.
         """
         from smarttouch.physiology.finger import strength
 
@@ -158,7 +158,7 @@ def problem_hash(profile: Profile) -> str:
     """Return a hash of everything that the kernels of a profile depend on."""
     limits, problem = profile.limits, _array_problem(profile)
     if profile.output.kind == "three-state":
-        problem["poles"] = "one against its ring or all"
+        problem["poles"] = "one against its ring or all"  # other words would change the hash
     if profile.output.masked:
         problem["masked"] = sorted(profile.output.masked)
     if profile.design_total_ma is not None or limits.electrode_ma is not None:
@@ -263,7 +263,7 @@ def design_confined(
     profile: Profile, sites: Sequence[int], progress: Progress | None, keep: Path | None = None
 ) -> KernelBank:
     """Design kernels for some sites. Each drives only the `Kernels.neighbors` electrodes nearest to
-    its site. In the bank, kernels of other sites and the AF from farther electrodes are zero."""
+    its site. The bank has zeros for the kernels of other sites and for the AF of far electrodes."""
     from smarttouch.kernels.batch_design import design_tiles
     from smarttouch.kernels.switched_design import designer, possible_modes
 

@@ -116,7 +116,7 @@ def _timed(design: Design, problem: Problem, site: int) -> tuple[int, Kernel, fl
 def _moved(problem: Problem, site: int, kernel: Kernel, move: np.ndarray) -> Kernel:
     weights = np.empty_like(kernel.weights)
     weights[move] = kernel.weights
-    # Mirroring can reverse an axon's nodes. The target is the node with the largest AF (Eq. 11).
+    # Mirroring can reorder the nodes of an axon: find the node with the largest AF (Eq. 11).
     node = kernel.node and int((problem.axon(site) @ weights).argmax())
     return replace(kernel, weights=weights, node=node)
 
@@ -173,9 +173,9 @@ def design_unless_known(
 ) -> Design:
     """Return a design function that reuses the kernels of another profile if they stay optimal.
 
-    A kernel stays optimal if it drives no masked electrode, and if either the limits are the same
-    or it lies within the old and the new limits: an optimum stays optimal over any subset that
-    contains it.
+    Kernels that drive masked electrodes are not reused. Other kernels stay optimal if the limits
+    are unchanged. They also stay optimal if no limit, old or new, restricts them: an optimum stays
+    optimal over any subset that contains it.
     """
 
     def keep_or_design(problem: Problem, site: int) -> Kernel:
@@ -201,8 +201,8 @@ def _same_limits(before: Profile, now: Profile, site: int) -> bool:
 
 
 def _within(weights: Array, site: int, profile: Profile) -> bool:
-    """Return whether a pattern, (E,), stays within the profile's limits if the site carries its
-    strongest comfortable current."""
+    """Scale a pattern, (E,), to the strongest comfortable current at the site. Return whether it
+    then keeps the profile's limits."""
     total, electrode = limits_ma(profile)
     if weights[site] == 0:
         return bool(np.isinf(total) and np.isinf(electrode).all())
@@ -220,13 +220,13 @@ class Tile:
     """Site and its neighbors as a small array, and all sites whose neighbors are arranged alike."""
 
     profile: Profile  # electrode 0 is the site
-    # by site: the numbers, (N,), that the tile's electrodes have in the complete array
+    # by site: the indices of the tile's electrodes in the complete array, (N,)
     members: dict[int, NDArray[np.intp]] = field(default_factory=dict)
 
 
 def tiles_of(profile: Profile, sites: Iterable[int]) -> list[Tile]:
-    """Return the distinct tiles of sites. A tile drives all electrodes up to a distance from its
-    site: the largest distance with at most `Kernels.neighbors` electrodes."""
+    """Return the distinct tiles of sites. A tile drives all electrodes within a circle around its
+    site: the largest circle that contains at most `Kernels.neighbors` electrodes."""
     array, neighbors = profile.electrodes, profile.kernels.neighbors or len(profile.electrodes)
     is_driven = np.isin(np.arange(len(array)), profile.driven)
     properties = np.column_stack(own_properties(profile))

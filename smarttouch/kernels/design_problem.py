@@ -56,9 +56,9 @@ def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
 
 
 def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[np.int_]]:
-    """Return those symmetries of a square, (2, 2) matrices, that preserve the electrode shapes, the
-    axon directions of all classes and, for classes in ``targets_of``, the direction of the target's
-    axon. The first matrix is the identity."""
+    """Return those symmetries of a square, (2, 2) matrices, that preserve the electrode shapes and
+    the axon directions of each class. For the classes in ``targets_of``, they also preserve the
+    direction of the target's axon. The first matrix is the identity."""
     skin = profile.skin
     kinds = profile.electrodes.kinds
     upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in kinds)
@@ -161,11 +161,11 @@ def masked_site(site: int) -> DesignError:
 
 
 class Problem:
-    """Design problem of one class: AF rows of its targets, of its nodes, and of other classes.
+    """Design problem of one class: AF rows of its targets, of all its nodes, and of the nodes of
+    other classes. The rows are the same for all sites of a profile.
 
-    ``others`` are the classes to avoid: one as in Eq. 10, or two as in Eq. 16 (the default). All
-    sites of a profile share the rows. ``made`` caches the rows of each class for further problems
-    of the profile.
+    ``others`` are the classes to avoid: one as in Eq. 10, or two as in Eq. 16 (the default).
+    ``made`` is a cache of rows by class, which several problems of a profile can share.
     """
 
     def __init__(
@@ -236,7 +236,7 @@ class Problem:
 
     def beyond_a_pitch(self, site: int, node: int = 0) -> NDArray[np.bool_]:
         """Return for each row of `own`, (M,), whether its node is over a pitch from the target. The
-        target is the node of the site's axon with the index ``node``."""
+        target is node number ``node`` of the site's axon."""
         electrodes = self.profile.electrodes
         target_mm = self.axon_mm(site)[node, :2] if node else electrodes.position_mm[site]
         away = np.linalg.norm(self._own_position_mm - target_mm, axis=1)
@@ -265,8 +265,9 @@ class Problem:
         return min(moves, key=lambda pair: pair[0])
 
     def orbits(self, site: int) -> Array:
-        """Return the orbits of electrodes under the symmetries that keep a site in place, (E, O).
-        A column is 1 at the electrodes of its orbit, else 0. Masked electrodes have no orbit."""
+        """Return the orbits, (E, O). The symmetries that keep the site in place map the electrodes
+        of an orbit to each other. A column is 1 at the electrodes of its orbit, else 0. Masked
+        electrodes have no orbit."""
         mirrors = np.array([move for move in self.symmetries if move[site] == site])
         _, orbit = np.unique(mirrors.min(axis=0)[self.driven], return_inverse=True)
         patterns = np.zeros((self.electrodes, orbit.max() + 1))
@@ -281,8 +282,8 @@ class Problem:
         kind: KernelKind = "weighted",
         gap: float = 0.0,
     ) -> Kernel:
-        """Return the kernel for a pattern: weights for an AF of 1 V/mm² at the target, off-target
-        and spill. Raises DesignError if the pattern does not activate the target."""
+        """Return the kernel for a pattern. It has off-target, spill, and weights that give an AF of
+        1 V/mm² at the target. Raises DesignError if the pattern does not activate the target."""
         far = self.beyond_a_pitch(site, node)
         aim = self.target[site] if node == 0 else self.axon(site)[node]
         own_af = float(aim @ weights)
@@ -294,8 +295,7 @@ class Problem:
             )
         others = self.other @ weights
         highest = float(others.max())
-        # An optimum often activates two classes equally. Rounding errors must not decide which is
-        # named.
+        # Often two classes are activated equally. Rounding errors must not decide which is named.
         alike = others >= highest - _ALIKE * abs(highest)
         whose = int(self.other_class[alike].min())
         spill = max(float((self.own @ weights)[far].max(initial=-np.inf)) / own_af, 0.0)

@@ -37,7 +37,7 @@ _RESCUES: tuple[Options, ...] = (
     {"simplex_dual_edge_weight_strategy": -1},
     {"solver": "ipm", "presolve": "on"},
 )
-"""Solver options for successive cold starts, if a solution cannot be verified."""
+"""If a solution cannot be verified, the solver starts anew with each of these options in turn."""
 
 
 class _SilentHighs(highspy.Highs):
@@ -53,11 +53,11 @@ class _SilentHighs(highspy.Highs):
 
 
 class ProgramRows:
-    """Rows of a program, (N, O), stored as factors to save memory: AF rows, (M, E), which all sites
-    share, times the orbits of one site, (E, O).
+    """Rows of a program, (N, O). A row is the product of an AF row, (E,), and the orbits of a site,
+    (E, O). To save memory, only the factors are stored: all sites share the AF rows.
 
-    Each of ``parts`` is an array of AF rows, the scale by which they are divided, and the indices
-    of the rows to use (None for all). Rows with indices ``coarse``, (K,), are checked first.
+    Each of ``parts`` has an array of AF rows, a divisor for these rows, and the indices of the rows
+    to use (None for all). Rows with indices ``coarse``, (K,), are checked first.
     """
 
     def __init__(
@@ -104,19 +104,19 @@ class ProgramRows:
 class LinearProgram:
     """Linear program: minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σ size·w = 0.
 
-    For each orbit, w, (O,), is the current of one electrode, and ``size``, (O,), the number of
-    electrodes. Of optimal patterns, the one with the least Σ cost·|w| is chosen, for each cost of
-    ``ties``, (O,), in turn. ``worst`` gets the excess of each row, (N,), and returns the rows to
-    add; by default all violated rows. If ``after``, a solved program, is given, this program starts
-    with the rows that ``after`` used, and t ≥ 0.
+    An orbit is a set of electrodes with equal currents. For each orbit, w, (O,), is the current of
+    one electrode, and ``size``, (O,), the number of electrodes. If several patterns are optimal,
+    Σ cost·|w| is minimized for each cost, (O,), of ``ties`` in turn. ``worst`` returns the rows to
+    add, given the excess of each row, (N,); by default it returns all violated rows. ``after`` is a
+    solved program: this program starts with the rows that ``after`` used, and t is at least 0.
     """
 
     def __init__(
         self,
         rows: ProgramRows,  # (N, O)
         slope: Array,  # (N,) 1 if t limits the row, else 0
-        bound: Array,  # (N,) 0 if t limits the row
-        aims: Array,  # (S, O) aims·w ≥ 1; a single row has aims·w = 1
+        bound: Array,  # (N,) upper bound of rows·w; 0 if t limits the row instead
+        aims: Array,  # (S, O) aims·w is at least 1; if S is 1, it is exactly 1
         size: Array,
         ties: Sequence[Array],
         worst: Chooser | None = None,
@@ -165,9 +165,9 @@ class LinearProgram:
         return int((np.abs(prices) > _PRICE).sum()) >= self._columns
 
     def limit(self, reference: Array, factors: Array, total: float | None) -> None:
-        """Limit magnitudes to ``factors``, (O,), and their sum over all electrodes to ``total``.
-        Limits are relative to the current reference·w. The reference, (O,), selects for example the
-        electrode of a site. Infinite factors and a total of None set no limit."""
+        """Limit the magnitudes of currents to ``factors``, (O,), and their sum over all electrodes
+        to ``total``. Limits are multiples of the current reference·w; ``reference``, (O,), usually
+        selects one electrode. An infinite factor, or a total of None, sets no limit."""
         bounded = np.flatnonzero(np.isfinite(factors))
         eye = np.eye(self._count)[bounded]
         push = factors[bounded, None] * reference
@@ -180,7 +180,7 @@ class LinearProgram:
             self._add(row[None], -np.inf, np.zeros(1))
 
     def settled(self) -> Array:
-        """Return the optimal pattern, (O,); of several, the one that `ties` prefer."""
+        """Return the optimal pattern, (O,). If several are optimal, `ties` decide."""
         for prices in self._ties:
             if self.unique:
                 break

@@ -57,7 +57,7 @@ _SAME_MM = 1e-9
 class FrameJudge:
     """Calculator of the selectivity of slots that stimulate one class at several sites.
 
-    `wish_af`, (E,) V/mm², is the activation of each target that level 1 requests.
+    `wish_af`, (E,) V/mm², is the requested activation of each target at level 1.
     """
 
     def __init__(self, profile: Profile, afferent: Afferent, wish_af: Array) -> None:
@@ -99,7 +99,7 @@ class FrameJudge:
 
     @cached_property
     def uneven_af(self) -> tuple[float, float]:
-        """Largest total variation of a row over consecutive electrodes, for `others` and `own`."""
+        """Largest Σ|g_j − g_j+1| over all rows g of `others`, and over all rows g of `own`."""
         rows_of = self.others, self.own
         other, own_af = (float(np.abs(np.diff(rows)).sum(axis=1).max()) for rows in rows_of)
         return other, own_af
@@ -142,15 +142,15 @@ class FrameJudge:
 
 
 def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
-    """Return the activation of each target, (E,) V/mm², if the peak of its kernel is the comfort
-    level. Arguments are `KernelBank.kernels` and `KernelBank.receptor`, (E, E)."""
+    """Return the activation of each target, (E,) V/mm², by its kernel at the comfort level. Pass
+    `KernelBank.kernels` and `KernelBank.receptor`, (E, E)."""
     return np.asarray(profile.full_ma * (receptor * kernels).sum(axis=1), np.float64)
 
 
 _SOFT = 1e-6
-"""Regularization, relative to the mean response of the targets. Without it the system is singular
-if all sites are active, because currents sum to zero."""
-AIM = 0.8  # part of `FrameBounds.uneven` by which all targets are weakened to save current
+"""Regularization of `independent`, relative to the mean response of the targets. Without it the
+system of equations is singular if all sites are active, because currents sum to zero."""
+AIM = 0.8  # to save current, all targets are weakened by this fraction of `FrameBounds.uneven`
 
 
 class FrameOperator:
@@ -212,7 +212,7 @@ class SharedKernels:
     @cached_property
     def excited(self) -> tuple[Array, Array]:
         """Positive activation by each kernel, (A, N) V/mm²: at nodes of other classes, and at nodes
-        of the same class. The latter nodes count as zero within a pitch of the kernel's site."""
+        of the same class. Within a pitch of the kernel's site, the second array is zero."""
         judge = self.operator.judge
         others, own_af = self.kernels @ judge.others.T, np.maximum(self.kernels @ judge.own.T, 0)
         for row, site in zip(own_af, self.sites, strict=True):
@@ -231,19 +231,19 @@ class SharedKernels:
 
     @cached_property
     def totals_ma(self) -> Array:
-        """Total current of each kernel, (A,). A subset has at most the sum of all totals."""
+        """Total current of each kernel, (A,). The total current of a slot is at most their sum."""
         return np.asarray(np.abs(self.kernels).sum(axis=1) / 2)
 
     @cached_property
     def electrode_ma(self) -> Array:
-        """Upper bound of the current of each electrode over all subsets, (E,)."""
+        """Upper bound of the current of each electrode, (E,), for any subset of the sites."""
         positive = np.maximum(self.kernels, 0).sum(axis=0)
         return np.asarray(np.maximum(positive, np.maximum(-self.kernels, 0).sum(axis=0)))
 
     @cached_property
     def weakest(self) -> float:
-        """Lower bound of a target's activation relative to its request, over all subsets. The
-        bound is below 1 if each electrode is a site: zero-sum currents cannot meet all requests."""
+        """Lower bound of a target's activation, relative to the requested one, for any subset of
+        the sites. If all electrodes are sites, the bound is below 1: currents sum to zero."""
         return float((self._reached / self._wish).min())
 
     def _against_targets(self, reached: float) -> float:
@@ -252,7 +252,7 @@ class SharedKernels:
 
     @cached_property
     def smallest(self) -> float:
-        """Lower bound of the activation of an active target at level 1, over all subsets, V/mm²."""
+        """Lower bound, V/mm², of an active target's activation at level 1."""
         return float(self._reached.min())
 
     @cached_property
@@ -264,10 +264,11 @@ class SharedKernels:
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """Bounds on activations, V/mm², for all subsets of each of N sets, after rounding of currents.
+    """Bounds on activations, V/mm², after rounding of currents. There are N sets of sites, and the
+    bounds of a set hold for all its subsets.
 
-    A slot requests c_k K_k mA of kernel k, with peak p_k, where c_k is aim times intensity times
-    level. The rounded currents have three errors with exact bounds (`KernelLists.current_ua`):
+    A slot requests the currents c_k K_k for kernel k, where c_k = aim · intensity · level. Kernel k
+    has the peak p_k. Rounding causes three errors with exact bounds (`KernelLists.current_ua`):
 
     - Amplitudes are multiples of 1/4 µA, so c_k is off by at most e_k = (1/8 µA) / p_k.
     - Weights are integers with a peak of 32,767, divided by 32,768. This scales all currents by
@@ -277,18 +278,18 @@ class Certainty:
     - The running sum of the slot's currents is rounded to 1 µA. This adds an error of up to 1/2 µA.
 
     The last two errors add up to at most h. The running sum is exactly 0 at the last electrode. By
-    summation by parts, the AF at a node with row g is then off by at most h Σ|g_j − g_j+1|. At a
-    node of another class, the AF is at most Σ_k (c_k + e_k) max(g·K_k, 0) + h Σ|g_j − g_j+1|. At
-    target i, the AF is at least φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] −
-    h Σ|T_j − T_j+1|, which is then divided by the target's level. Without stored kernels, the
-    error is smaller: currents are added in double precision and rounded once.
+    summation by parts, the AF at a node with row g is then off by at most V(g) = h Σ|g_j − g_j+1|.
+    At a node of another class, the AF is at most Σ_k (c_k + e_k) max(g·K_k, 0) + V(g). T_ik is the
+    AF of kernel k at target i. At target i, which has row t, the AF is at least
+    φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] − V(t). Without stored kernels, the error
+    is smaller: currents are added in double precision and rounded once.
     """
 
-    # (2, N) largest activation per intensity at nodes of other classes and of the same class
+    # (2, N) largest activation divided by intensity: of other classes, and of the same class
     reached: Array
-    rounding: Array  # (2, N) largest increase of `reached` by rounding
-    target: Array  # (N,) smallest activation of a target per intensity, scaled to level 1
-    lost: Array  # (N,) largest decrease by rounding of a target's activation, scaled to level 1
+    rounding: Array  # (2, N) largest increase of the activation by rounding; rows as in `reached`
+    target: Array  # (N,) smallest activation of a target, divided by its level and by intensity
+    lost: Array  # (N,) largest decrease of a target's activation by rounding, divided by its level
     total_ua: float  # largest increase of a slot's total current by rounding
 
     @classmethod
@@ -343,7 +344,7 @@ class Certainty:
             return np.asarray(np.where(weakest > 0, upper_bound / np.maximum(weakest, 0), np.inf))
 
     def least(self, bounds: FrameBounds) -> float:
-        """Return the intensity from which on all bounds hold; infinite if they never hold."""
+        """Return the lowest intensity above which all bounds hold; infinite if they never do."""
         bounds_column = np.array([[bounds.other], [bounds.spill]])
         room = bounds_column * self.target - self.reached
         needed = self.rounding + bounds_column * self.lost
@@ -372,11 +373,11 @@ def provable(profile: Profile) -> bool:
 
 
 def proved_sets(judge: FrameJudge, bounds: FrameBounds) -> list[SharedKernels]:
-    """Return a few sets of independent sites: all subsets of a set keep the bounds.
+    """Return sets of independent sites. Any sites of one set can share a slot within the bounds.
 
-    Each site is in a set. Targets are weakened by `AIM`. Limits of electrodes are checked; the
-    total current is not. The list is empty if the array is too large or not a grid, or if no sets
-    could be proved.
+    Each site is in one set. Targets are weakened as `AIM` says. The limit of each electrode is
+    checked; the total current is not. The list is empty if the array is too large or not a grid,
+    or if no sets could be proved.
     """
     if not provable(judge.profile):
         return []

@@ -37,18 +37,17 @@ def design_kernel(
 ) -> Kernel:
     """Design the weighted kernel of one site.
 
-    Raises DesignError if the limits allow none. Of all kernels whose off-target is within
-    `given_up` (relative) of the minimum, the one with the least spill is chosen; with 0, only
-    off-target is minimized.
+    Raises DesignError if no kernel keeps the limits. To reduce spill, off-target may exceed its
+    minimum by the fraction `given_up`. If `given_up` is 0, spill is not minimized.
 
     Ties are broken by symmetry, then by total current, then by the distance of currents from the
     site and from the array's middle, so the result does not depend on the solver.
 
-    `spill` bounds the activation of the same class beyond one pitch; None means no bound, as in the
-    paper. The bound can be infeasible if the pitch is smaller than the depth of afferents. Then the
-    larger of off-target and spill is minimized first. No electrode carries more than a thousand
-    times the current with which the best single electrode fires the target. Node 0 of the target's
-    axon is under the electrode.
+    `spill` is the largest allowed spill; None sets no bound, as in the paper. If the pitch is
+    smaller than the depth of afferents, it may be impossible to keep the bound. Then the larger of
+    off-target and spill is minimized first. No electrode carries more than a thousand times the
+    current with which the best single electrode fires the target. `node` is the index of the target
+    on its axon; node 0 is under the electrode.
     """
     problem.check_site(site)
     rows = _ProgramBuilder(problem, site, spill, node)
@@ -108,8 +107,8 @@ def design_any_node(problem: Problem, site: int) -> Kernel:
 
 
 class _ProgramBuilder:
-    """Builder of the linear programs of one site. Rows are relative to the AF at the target from
-    the electrode that activates it most."""
+    """Builder of the linear programs of one site. Rows are divided by the largest AF that 1 mA
+    through a single electrode causes at the target."""
 
     def __init__(self, problem: Problem, site: int, spill: float | None, node: int) -> None:
         self._problem, self._site = problem, site
@@ -195,13 +194,13 @@ class _ProgramBuilder:
         )
 
     def _limits(self) -> tuple[Array, Array, float]:
-        """Return the row that selects the current of the site's electrode, the limit of each
-        unknown, and the limit of the sum of magnitudes. Limits are multiples of this current."""
+        """Return the arguments of `LinearProgram.limit`. The reference is the current of the
+        site's electrode."""
         total, electrode = limits_ma(self._problem.profile)
         site, full = self._site, self._problem.full_ma(self._site)
         reference = np.sign(self._problem.target[site, site]) * self.orbits[site]
         factors = np.where(self.orbits > 0, electrode[:, None], np.inf).min(axis=0) / full
-        # The site's electrode needs no limit: it carries the comfort level, which is allowed.
+        # The site's electrode carries the comfort level. A valid profile allows this current.
         factors[self.orbits[site].argmax()] = np.inf
         # `total` limits the cathodic current, which is half of the sum of magnitudes.
         return reference, factors, 2 * total / full
