@@ -52,8 +52,8 @@ class Field(NamedTuple):
 def around_axis(
     x: Array, y: Array, potential: Array, zz: Array, around: Array, slanted: Array
 ) -> Field:
-    """Return the field of a cathode that is symmetric about the z axis. Arguments after x and y are
-    those of an anode of equal shape: Φ, ∂²Φ/∂z², (∂Φ/∂r)/r, (∂²Φ/∂r∂z)/r, finite on the axis."""
+    """Return the field of a cathode that is symmetric about the z axis. After x and y, pass Φ,
+    ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r of an equal anode. They must be finite on the axis."""
     r2 = x * x + y * y
     # ∂²Φ/∂r² follows from Laplace's equation; on the axis it equals (∂Φ/∂r)/r.
     stretch = np.divide(-zz - 2 * around, r2, out=np.zeros_like(r2), where=r2 > 1e-12)
@@ -142,11 +142,11 @@ def _discs_of_annulus(
 ) -> list[tuple[float, float]]:
     """Return shares and radii of equipotential discs that add up to an annulus of uniform density.
 
-    An annulus is a disc with uniform density minus a smaller one. Such a disc, of radius b, is a
-    weighted mean of equipotential discs of radius b sin φ, where φ goes from 0 to π/2 and the
-    weight is 2 sin²φ. Proof: the integral of t dt / √((b² − t²)(t² − s²)) for t from s to b is π/2
-    for every s. The mean is computed by the midpoint rule. With n angles its error is about
-    exp(−4n arsinh(z/b)).
+    An annulus is a disc with uniform density minus a smaller one. A disc with uniform density and
+    radius b is a weighted mean of equipotential discs. Their radii are b sin φ, where φ goes from 0
+    to π/2, and the weight is 2 sin²φ. Proof: the density at radius s is proportional to the
+    integral of t dt / √((b² − t²)(t² − s²)) for t from s to b, which is π/2 for every s. The
+    midpoint rule with n angles has an error of about exp(−4n arsinh(z/b)).
     """
     discs: list[tuple[float, float]] = []
     for radius, sign in ((outer, 1.0), (inner, -1.0)):
@@ -189,8 +189,8 @@ def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: fl
 
 
 _MARGIN_PITCHES = {"plane": 2.0}
-"""Nodes are considered up to this distance from the array, in pitches, by medium; the default is 1.
-In the plane, 2 gives the paper's range of −5 to 5 mm."""
+"""Largest distance of considered nodes from the array, in pitches, by medium (default: 1). In the
+plane, 2 gives the paper's range of −5 to 5 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,10 +308,10 @@ def field_at(
     position_mm: NDArray[np.float64],
     depth_mm: float | NDArray[np.float64],
 ) -> tuple[Field, float]:
-    """Return the field of each electrode, (N, E), and a factor that converts potentials to V/mA.
+    """Return the field of each electrode at N points, (N, E), and a factor. The factor converts
+    potentials to V/mA, and second derivatives to V/mm² per mA.
 
-    Points are (N, 2) mm along the skin, at one depth or at depths (N, 1). The same factor converts
-    second derivatives to V/mm² per mA.
+    Points are (N, 2) mm along the skin. They have one common depth, or depths (N, 1).
     """
     if len(electrodes.kinds) > 1:
         return _field_of_kinds(electrodes, skin, position_mm, depth_mm)
@@ -343,7 +343,7 @@ def _field_of_kinds(
     field = Field(*np.zeros((len(Field._fields), len(position_mm), len(electrodes))))
     scale = 1.0
     for (shape, size_mm), which in electrodes.kinds.items():
-        # An ElectrodeArray needs two electrodes: add a second one, and drop its column.
+        # An ElectrodeArray needs two electrodes. If there is one, add another, and drop its column.
         places = electrodes.position_mm[which]
         if len(which) == 1:
             places = np.vstack([places, places + electrodes.pitch_mm])

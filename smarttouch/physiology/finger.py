@@ -164,11 +164,11 @@ class Finger:
 
     @cached_property
     def rows(self) -> tuple[Floats, NDArray[np.intp]]:
-        """Drives of all nodes that currents within the limits can fire, (N, E), and starts, (A,).
+        """Drives, (N, E), of all nodes that currents within the limits can fire; ``starts``, (A,).
 
         A drive, float32 1/mA, is the effect of 1 mA of cathodic current with the profile's pulse. A
-        node fires if drives times currents, mA, add up to 1. The rows of afferent i begin at
-        ``starts[i]``. Each afferent has at least one row; it is zero if no node can fire.
+        node fires if the sum of drive times current, mA, is at least 1. The rows of afferent i
+        begin at ``starts[i]``. An afferent without nodes that can fire has one row of zeros.
         """
         row_parts, starts, count = [], [], 0
         for one in self.populations.values():
@@ -257,8 +257,8 @@ class Finger:
     def _drives_of_branches(
         self, population: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
     ) -> tuple[Floats, NDArray[np.intp]]:
-        """Return the drives of the nodes on some branches, from the ending to a corner, and the
-        branch of each node."""
+        """Return the drives of nodes that can fire, and the branch of each node. Nodes of the
+        branches ``part`` are searched from the ending to the corner with the index ``corners``."""
         spacing = driving.internode_mm
         length_mm = axon_path_length_mm(population.axon_path_mm[part], corners)
         nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1

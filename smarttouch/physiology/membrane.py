@@ -25,7 +25,7 @@ _LEAK_PER_US = 128.0 / _NODE_UF_PER_CM2 / 1000
 _SODIUM_MV = 115.0
 _AXOPLASM_OHM_CM = 54.7  # Sweeney et al. 1987
 _BARE_UF_PER_CM2, _BARE_MS_PER_CM2 = 1.0, 1.0  # unmyelinated membrane, textbook values
-_RATES_HOLD_MV = 200.0  # largest potential in gate rates: beyond it, gates are saturated
+_RATES_HOLD_MV = 200.0  # gate rates use potentials clipped to ± this value, where gates saturate
 
 _PADDING = 12  # nodes added beyond the last one
 _WATCHED = -5  # index of the padding node whose spike shows that the fiber has fired
@@ -38,7 +38,7 @@ _FLOOR_MA, _CEILING_MA = 1e-4, 1000.0
 # round tries many currents, because strong cathodic currents block spikes: some fibers do not fire
 # above three times their threshold.
 _ROUNDS = (71, 17, 17)
-_PATIENCE_US = 20_000.0  # longest wait after the pulse; a spike takes about 10 µs per node
+_PATIENCE_US = 20_000.0  # longest simulated time after a pulse; a spike takes 10 µs per node
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,10 @@ class Fiber:
     axon_ratio: float = 0.6  # axon diameter relative to fiber diameter (Sweeney et al. 1987)
     node_um: float = 1.5  # length of a node (Sweeney et al. 1987)
     end: Literal["passive", "active", "through"] = "passive"
-    # Membrane area of a passive terminal with 1 µF/cm² and 1 mS/cm². Our estimate: 0.5 mm of
+    # Membrane area of a passive terminal, which has 1 µF/cm² and 1 mS/cm². Our estimate: 0.5 mm of
     # neurite 2 µm thick, coiled in a corpuscle about 100 µm long and 60 µm wide. The area decides
-    # which polarity fires an upright fiber. With the defaults, a pulse of 200 µs and a depth of 0.7
-    # mm, the cathodic threshold is the lower one below about 1250 µm².
+    # which polarity fires an upright fiber with less current. For pulses of 200 µs at a depth of
+    # 0.7 mm this is anodic current, but cathodic current if the area is less than about 1250 µm².
     terminal_um2: float = 3000.0
 
     def __post_init__(self) -> None:
@@ -72,7 +72,7 @@ class Fiber:
 
     @property
     def coupling_per_us(self) -> float:
-        """Axial conductance between nodes per capacitance of a node, d / (4 ρ L c l), 1/µs."""
+        """Axial conductance between nodes divided by node capacitance: d / (4 ρ L c l), 1/µs."""
         axon_over_node = self.diameter_um * self.axon_ratio / self.node_um
         return axon_over_node / (4 * _AXOPLASM_OHM_CM * self.internode_mm * 0.1 * _NODE_UF_PER_CM2)
 
@@ -81,10 +81,10 @@ class Axon:
     """Simulation of a fiber in one or several fields, with many currents at once.
 
     A time step is split (Strang): half a step of the membranes, a step of axial current, half a
-    step of the membranes. Each part is exact; gates are half a step ahead. The fiber continues
-    beyond the last node, in a field without curvature. Arguments are as for `threshold_ma`;
-    potentials can be (C, N) for C fields. `push`, (P,) or (C, P) mV, is the change of membrane
-    potential by 1 mA in one step; its P nodes include the padding.
+    step of the membranes. Each part is solved exactly. Gates are half a step ahead of potentials.
+    The fiber continues beyond the last node, in a field without curvature. Arguments are as for
+    `threshold_ma`; potentials can be (C, N) for C fields. `push`, (P,) or (C, P), is the change of
+    membrane potentials, mV, that 1 mA causes in one step. P is the number of nodes with padding.
     """
 
     def __init__(self, potential_mv_per_ma: ArrayLike, fiber: Fiber, step_us: float) -> None:
@@ -153,7 +153,7 @@ class Axon:
 
 @lru_cache(maxsize=16)
 def _over_step(fiber: Fiber, count: int, step_us: float) -> Array:
-    """Return the matrix that advances potentials and field by a step of axial current, (2P, 2P)."""
+    """Return the matrix, (2P, 2P), that applies a step of axial current to potentials and field."""
     axial = Axon.passive_parts(fiber, count)[0]
     step_matrix: Array = expm(np.vstack([axial, np.zeros_like(axial)]) * step_us)
     step_matrix.setflags(write=False)
@@ -209,7 +209,7 @@ def threshold_ma(
 
 
 def _fires(axon: Axon, driven_mv: Array, steps: int) -> NDArray[np.bool_]:
-    """Return whether each drive, (A, P), applied for ``steps`` steps, fires the fiber, (A,)."""
+    """Return which of the drives, (A, P), fire the fiber if they last for ``steps`` steps."""
     v, gates = axon.rest(len(driven_mv))
     alive = np.arange(len(driven_mv))
     fires, step = np.zeros(alive.size, np.bool_), 0
@@ -259,14 +259,14 @@ class DrivingFunction:
     internode_mm: float
     end: End  # kind of ending, as in `Fiber`
     along: Array  # (K + 1,) 1/mV: weights of a node and of K neighbors on each side
-    near_end: Array  # (H, L) 1/mV: weights of L nodes in the first H drives; (0, 0) for "through"
-    # Hyperpolarizing drive that blocks a passing spike, relative to the drive of the firing node;
-    # infinite if spikes are never blocked. Long anodic pulses can block.
+    near_end: Array  # (H, L) 1/mV: replaces `along` in the first H drives; empty for "through"
+    # A node blocks a passing spike if its hyperpolarizing drive is at least `block` times the drive
+    # of the node that fired. Long anodic pulses can block. Infinite if no node can block.
     block: float = np.inf
 
     def drive(self, potential_mv: Array) -> Array:
-        """Return the drives of nodes, (C, M, E), for potentials (C, N, E), which begin at the
-        ending. A node fires at a drive of 1."""
+        """Return the drives of M nodes, (C, M, E), for the potentials of N nodes, (C, N, E). The
+        first potential is that of the ending. A node fires if its drive is at least 1."""
         return self.operator(potential_mv.shape[-2]) @ potential_mv
 
     def highest(self, potential_mv: Array) -> Array:
@@ -276,7 +276,7 @@ class DrivingFunction:
         return np.asarray(np.where(passes(drive, self.block), drive, 0.0).max(axis=1))
 
     def operator(self, nodes: int) -> Array:
-        """Return the matrix from potentials of N nodes to drives, (M, N) 1/mV."""
+        """Return the matrix, (M, N) 1/mV, that converts the potentials of N nodes to M drives."""
         bend = bend_operator(self.end, nodes)
         first = self.end == "passive"
         size = len(bend)
@@ -302,8 +302,8 @@ def passes(drive: Array, block: float) -> NDArray[np.bool_]:
 
 
 def bend_operator(end: End, nodes: int) -> Array:
-    """Return the matrix of second differences along a fiber, (B, N). At an ending, its first row is
-    a first difference."""
+    """Return the matrix of second differences along a fiber, (B, N). If the fiber ends, the first
+    row is a first difference."""
     bends = np.diff(np.eye(nodes), 2, axis=0)
     if end == "through":
         return bends

@@ -106,8 +106,8 @@ class SpikeModel:
         return np.asarray(highest * by_class.astype(np.float32)[:, self.finger.classes])
 
     def fire(self, slots: SlotCurrents, above: Floats | None = None) -> Spikes:
-        """Return the spikes of a sequence. It begins when the sequence of the last call ends.
-        ``above`` is the result of `drive` for its slots, if known."""
+        """Return the spikes of a sequence, which begins when the sequence of the last call ends.
+        ``above`` is the result of `drive` for the slots; if None, it is computed."""
         lasts = slots.width_us.astype(np.int64) + slots.discharge_us
         time_us = self._now_us + np.cumsum(lasts) - lasts
         if above is None:
@@ -136,7 +136,7 @@ class ResponseQuality:
 
     spikes: int  # of all classes
     afferents: dict[Afferent, int]  # number of afferents that fired, by class
-    # share of active electrodes without a firing receptor of a wanted class within half a pitch
+    # share of active electrodes with no spikes of a wanted class within half a pitch
     silent_points: float
     wrong_class: float  # share of spikes of classes that are not wanted; NaN without spikes
     # share of spikes more than a pitch away from all active electrodes; NaN without spikes
@@ -149,8 +149,8 @@ def response_quality(
     active: NDArray[np.bool_],
     wanted: Collection[Afferent],
 ) -> ResponseQuality:
-    """Compute the quality of spike counts, (A,), for active electrodes, (E,), and wanted
-    classes."""
+    """Return the quality of spike counts, (A,). ``active``, (E,), are the electrodes that were
+    requested to stimulate, ``wanted`` the requested classes."""
     electrodes = finger.profile.electrodes
     fired = np.flatnonzero(counts)
     spikes, classes = counts[fired], finger.classes[fired]
@@ -189,8 +189,8 @@ def response_map(
     places_mm: NDArray[np.float64],
     blur_mm: float = 1.0,
 ) -> NDArray[np.float32]:
-    """Return the density of spikes of each class, (3, P), at places, (P, 2) mm. A receptive field
-    with the standard deviation ``blur_mm`` (our choice) blurs it."""
+    """Return the density of spikes of each class, (3, P), at places, (P, 2) mm. Each spike
+    is blurred by a Gaussian with the standard deviation ``blur_mm`` (our choice)."""
     fired = counts > 0
     away = places_mm[None] - finger.receptor_mm[fired, None]
     weight = np.exp(-(away**2).sum(axis=2) / (2 * blur_mm**2)) * counts[fired, None]
@@ -201,7 +201,7 @@ def response_map(
 
 
 def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
-    """Return colors on white, (..., 3), for spikes, (3, ...); `most` spikes saturate a color."""
+    """Return colors, (..., 3), for spike counts, (3, ...): white at 0, full color at ``most``."""
     image = np.ones((*spikes.shape[1:], 3), np.float32)
     for afferent, color in CLASS_COLORS.items():
         ink = 1 - np.array([int(color[at : at + 2], 16) for at in (1, 3, 5)]) / 255
@@ -290,10 +290,10 @@ def delivered_spikes(
     most_slots: int | None = None,
     model: SpikeModel | None = None,
 ) -> Counts:
-    """Return the spike counts of a finger for delivered slots, (N,), by sequence number. Slots of a
-    sequence are consecutive. Sequences that are missing in ``period_us`` are left out. If there are
-    more than ``most_slots`` slots, only every n-th sequence is used. ``model`` is reset, but its
-    cached drives are used."""
+    """Return the number of spikes of each afferent for each sequence. Keys are sequence numbers.
+    There are N slots; those of a sequence are consecutive. Sequences that are missing in
+    ``period_us`` are left out. If there are more than ``most_slots`` slots, only every n-th
+    sequence is used. ``model`` is reset first, but its cached drives are used."""
     begins = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
     parts = zip(begins, np.append(begins[1:], len(numbers)), strict=False)
     sequences = {}

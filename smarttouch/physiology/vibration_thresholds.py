@@ -42,7 +42,7 @@ MEETING_HZ = 40.0
 PC_BEST_DB, SAI_DB = -10.0, 28.0
 """Minimum thresholds, dB re 1 µm amplitude; sources in the module's docstring."""
 SAI_CORNER_HZ = 5.0
-"""Corner frequency of SAI's first-order rise (our choice for "below a few hertz")."""
+"""Corner frequency (our choice) above which SAI's threshold rises by 6 dB per octave."""
 PC_DB_PER_OCTAVE = 12.0
 """Slope of PC's threshold (Bolanowski et al. 1988)."""
 
@@ -55,7 +55,7 @@ class _CurveSide:
     roundness: float
 
     def rise_db(self, octaves: Array) -> Array:
-        """Return the rise above the minimum, dB, at a distance from the best frequency, octaves."""
+        """Return the rise above the minimum, dB, at ``octaves`` octaves from the best frequency."""
         w = self.roundness
         return np.asarray(self.db_per_octave * (np.hypot(octaves, w) - w))
 
