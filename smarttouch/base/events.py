@@ -79,7 +79,7 @@ class ModeChanged(Event):
 class InputLost(Event):
     """The image is stale or the force unknown, so no current flows."""
 
-    image: bool  # True if the image is stale, False if the force is unknown
+    image: bool  # True: the image is stale; False: the force is unknown
 
     def __str__(self) -> str:
         what = "the image is stale" if self.image else "the force is not known"

@@ -38,8 +38,8 @@ class StopRequest:
         with self._lock:
             # Keep the first reason, also after a second Ctrl-C.
             self.reason = self.reason or reason
-            # Set the event under the lock. If another thread is in `on_stop`, its function is
-            # either in the list already, or `on_stop` sees the event and calls the function.
+            # Set the event under the lock, so that each function is called: either it is already in
+            # the list, or the thread that adds it in `on_stop` sees the event and calls it.
             self.event.set()
             calls = self._on_stop.copy() if at_once else []
         with contextlib.ExitStack() as stack:
@@ -49,8 +49,8 @@ class StopRequest:
                 stack.callback(call)
 
     def always_on_stop(self, tell: Callable[[], None]) -> None:
-        """Call a function when the end is requested. Functions added later are called first: a run
-        must end before its board refuses sequences."""
+        """Call a function when the end is requested. Functions added later are called first:
+        runs are added after their board, and must end before it refuses sequences."""
         with self._lock:
             self._on_stop.insert(0, tell)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 def one_line(record: Any) -> str:
-    """Return a one-line repr of a dataclass: arrays by type and shape, long values by type."""
+    """Return a one-line repr of a dataclass. Arrays are shortened to their type and shape."""
     shown = [f"{field.name}={_brief(getattr(record, field.name))}" for field in fields(record)]
     return f"{type(record).__name__}({', '.join(shown)})"
 

@@ -96,9 +96,9 @@ def read_options(
 ) -> tuple[str, dict[str, Any]]:  # fmt: skip
     """Split the part of a URL after its name into an address and options.
 
-    Options are the parameters of ``opener`` that have a default, except ``but``, and those in
-    ``more``. ``rest`` has no options if it is the name of a file, if the part after ``?`` does not
-    look like options (``text:Is it so?``), or if the opener has none.
+    Options are the parameters of ``opener`` with a default, and the names in ``more``. Parameters
+    in ``but`` are not options. ``rest`` is an address without options if it is the name of a file,
+    if the part after ``?`` does not look like options (``text:Is it so?``), or if no options exist.
     """
     address, mark, query = rest.rpartition("?")
     known = options_of(opener, but) | more
@@ -133,7 +133,7 @@ def all_options(
 ) -> tuple[str, dict[str, Any]]:
     """Split a URL as `read_options` does, and add the options in ``beside`` that are not None.
 
-    Raises ``error`` if one of these is unknown or also in the URL.
+    Raises ``error`` if an option in ``beside`` is unknown or also in the URL.
     """
     options = {name: value for name, value in beside.items() if value is not None}
     parameters = inspect.signature(opener).parameters.values()

@@ -52,8 +52,8 @@ class Deframer:
             return None
         while at + data[at] < len(data):
             at += data[at]
-        # Shorten the last COBS block to the bytes that have arrived. If the block is complete and
-        # below the largest length, a zero follows its bytes.
+        # Set the length of the last COBS block to the bytes that have arrived. After a complete
+        # block, unless it has the largest length, a zero follows in the decoded packet.
         zero = b"\0" if at + data[at] == len(data) and data[at] < 0xFF else b""
         data[at] = len(data) - at
         decoded = bytes(cobs.decode(bytes(data))) + zero

@@ -70,7 +70,7 @@ def open_port(
 
 
 def _is_device(port: Port) -> bool:
-    """Return whether a port is a device. A pseudo-terminal would stay locked after its closing."""
+    """Return whether a port is a device. A pseudo-terminal would remain locked after closing."""
     try:
         return not os.ttyname(port.fileno()).startswith(_PSEUDO)
     except (OSError, AttributeError):
@@ -127,8 +127,8 @@ def reopen_port(
     deadline = time.monotonic() + within_s
     while True:
         try:
-            # Opening could reset another device, so check the name first. Then check the open port,
-            # which another device may have taken in between.
+            # Opening could reset another device, so first check which device has this name. Another
+            # device may take the port between check and opening, so check the open port as well.
             if Path(name).exists() and _usb_identity(name) != identity:
                 raise _other(name)
             port = open_port(name, baudrate)
