@@ -136,8 +136,8 @@ def keep_kernel(keep: Path, problem: Problem, site: int, kernel: Kernel, seconds
         "gap": kernel.gap,
         "seconds": seconds,
     }
-    # Another process with the same design may remove the folder. A kernel that is not stored is
-    # designed again.
+    # Ignore errors: another process with the same design may remove the folder. A kernel that is
+    # not stored is designed again.
     with contextlib.suppress(OSError):
         keep.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile("w", dir=keep, suffix=".part", delete=False) as half:
@@ -257,8 +257,8 @@ def tiles_of(profile: Profile, sites: Iterable[int]) -> list[Tile]:
 def _tile_profile(
     profile: Profile, members: NDArray[np.intp], places_mm: Array, drives: NDArray[np.bool_]
 ) -> Profile:
-    """Return the profile of a tile: electrodes ``members``, (N,), at ``places_mm``, (N, 2).
-    Electrodes for which ``drives``, (N,), is false are masked."""
+    """Return the profile of a tile. It has the electrodes ``members``, (N,), at ``places_mm``,
+    (N, 2). Electrodes for which ``drives``, (N,), is false are masked."""
     array, felt, limits = profile.electrodes, profile.perception, profile.limits
     shapes = [array.own[index] for index in members] if array.own else None
     layout = FreeLayout(

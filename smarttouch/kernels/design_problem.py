@@ -134,7 +134,7 @@ _FIRST_MM = 0.5  # spacing of the nodes that a design checks first
 
 
 def _sublattice(grids: list[tuple[tuple[int, int], int]], apart: int) -> NDArray[np.intp]:
-    """Return the indices, (K,), of every n-th row and column of stacked lattices, n = ``apart``."""
+    """Return the indices, (K,), of every n-th row and column of each lattice; n is ``apart``."""
     starts, start = [], 0
     for (high, wide), count in grids:
         index = np.arange(start, start + count * high * wide).reshape(count, high, wide)

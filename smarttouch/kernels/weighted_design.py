@@ -54,7 +54,7 @@ def design_kernel(
     if spill is None:
         ways = [False]
     else:
-        # For PC the bound is rarely feasible: first minimize the larger of off-target and spill.
+        # PC rarely keeps the spill bound: first minimize the larger of off-target and spill.
         ways = [True, False] if problem.afferent is Afferent.PC else [False, True]
     program = rows.program(ways[0], options)
     best = program.most_selective()
