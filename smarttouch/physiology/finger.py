@@ -277,7 +277,7 @@ class Finger:
         return rows[can].astype(np.float32), branch[can]
 
     def _largest_drive(self, rows: Array) -> Array:
-        """Return the largest drive of each node, (N,), by currents within the profile's limits.
+        """Return the largest drive of each node, (N,), that the profile's limits allow.
 
         Currents sum to zero; each current and the sum of anodic currents are limited.
         """
