@@ -34,8 +34,8 @@ MOST_TOML_BYTES = 1_000_000
 electrodes needs a tenth of it."""
 MOST_ARRAY_BYTES = 256_000_000  # size limit of files with NumPy arrays
 MOST_BANK_BYTES = 700_000_000
-"""Size limit of kernel banks and recorded device lines. Uncompressed, a bank of 4,096 electrodes
-has 605 MB, nearly all zeros."""
+"""Size limit of kernel banks and of recordings of serial lines. A bank of 4,096 electrodes has
+605 MB before compression; nearly all are zeros."""
 MOST_DOCUMENT_BYTES = 2_000_000_000  # size limit of images, PDFs and videos
 
 
@@ -193,7 +193,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
             file = os.fdopen(owner_only(os.fspath(path), flags), "r+b")
             status = os.fstat(file.fileno())
             if user_number() is not None and status.st_mode & 0o077:
-                # Ignore errors for the user's own file: some file systems have no permissions.
+                # If the file belongs to the user, ignore errors: not all file systems can do this.
                 with contextlib.suppress(*[OSError] * (status.st_uid == user_number())):
                     os.fchmod(file.fileno(), 0o600)
         except OSError as failure:
@@ -203,7 +203,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
             raise error(
                 f"{path} is in use by another run: wait until it has ended, or give another file"
             )
-        # If another program removed the file before the lock, the lock is useless: try again.
+        # If another program removed the file before it was locked, try again with a new file.
         if path.exists() and os.path.samestat(path.stat(), os.fstat(file.fileno())):
             return file
         file.close()
