@@ -230,7 +230,7 @@ class AnswerFile(Closing):
         self._write(b"" if cells.ended or begun else self._dialect.line_end.encode(), end)
 
     def append(self, row: Row) -> None:
-        """Append the row of one trial; values of ``about`` and the version are added to it."""
+        """Append the row of one trial, completed by the values of ``about`` and the version."""
         row = {**dict.fromkeys(self._columns), "version": __version__, **self._about, **row}
         self._write(
             self._dialect.line((column, row[column]) for column in self._columns), self._end
@@ -302,8 +302,8 @@ class Answers:
 
 def usual_model(
     all_answers: Sequence[Answers],  # one for each standard
-    # See `Model.guess`. None: "equal" if there are standards or negative comparisons; otherwise
-    # 1 / `Answers.alternatives` if known; otherwise "free" if a comparison is 0; otherwise 0.
+    # See `Model.guess`. If None: "equal" with standards or negative comparisons; otherwise
+    # 1 / `Answers.alternatives` if known; otherwise "free" with a comparison of 0; otherwise 0.
     guess: Guess | None = None,
     at: float | None = None,  # share of successes at the threshold, see `Model`
 ) -> Model:

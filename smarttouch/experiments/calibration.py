@@ -37,12 +37,12 @@ _LIBRARIES = {"opencv": "opencv-contrib-python-headless", "numpy": "numpy", "sci
 
 
 class ProfileFile:
-    """Copy of a profile in which a calibration sets keys, to be written to a ``.toml`` file.
+    """Copy of a profile in which a calibration sets keys. `write` stores it in a ``.toml`` file.
 
-    ``start`` names a shipped profile or a file. Its other keys and its comments are kept. With
-    ``overwrite`` an existing output is replaced. With ``update`` the output, which is also
-    ``start``, is edited. Raises ProfileError if the start is not a profile, and CalibrationError if
-    the output cannot be written.
+    ``start`` names a shipped profile or a file. The copy keeps its comments and all keys that are
+    not set. With ``overwrite`` an existing output is replaced. With ``update`` the output is the
+    file ``start`` itself, and is edited. Raises ProfileError if ``start`` is not a profile, and
+    CalibrationError if the output cannot be written.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class ProfileFile:
 
     def _table(self, name: str) -> MutableMapping[str, Any]:
         table = self._document[name]
-        # tomlkit returns a proxy if the table's parts are scattered over the file.
+        # For a table in several parts of the file, tomlkit returns a proxy, which is not a Table.
         assert isinstance(table, MutableMapping)
         return table
 
@@ -372,7 +372,7 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
     if len(good) < FEWEST_READINGS or len(good) < (1 - MOST_MISSING) * len(raw):
         raise CalibrationError(
             f"{len(good)} of {len(raw)} readings at {grams:g} g are numbers, but at least "
-            f"{FEWEST_READINGS} and half of all readings must be: check the connections of the "
+            f"{FEWEST_READINGS}, and at least half of all, must be: check the connections of the "
             "cell, or read longer (--seconds)"
         )
     middle, spread = middle_and_spread(good)

@@ -40,10 +40,10 @@ from smarttouch.experiments.trials import (
 _MOST_BYTES = 10_000_000
 PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
 """Standards for PC, Hz: `STANDARDS_HZ`, and two at which thresholds change (paper, Fig. 18)."""
-_NARROWEST_RATIO, _START_RATIO = 1.01, 1.6  # smallest and first ratio of comparison to standard
+_NARROWEST_RATIO = 1.01  # smallest ratio of comparison to standard in adaptive procedures
+_START_RATIO = 1.6  # first ratio of comparison to standard in a staircase
 _STEP = 0.03
-"""Relative step down of a frequency staircase. The threshold for mechanical vibration is about
-20 %, and the step is less than a quarter of that."""
+"""Relative step down of a frequency staircase, far below the threshold for vibration (20 %)."""
 LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
 """Levels of the detection experiment, relative to the profile's threshold (our own choice)."""
 _DETECTION_STEP = 0.05  # relative step down of a detection staircase
@@ -72,8 +72,8 @@ def frequency(setup: Setup) -> Trials:
     highest_hz = setup.profile.limits.rate_hz
     if is_pc:
         setup.notes.append(
-            f"PC is stimulated by the PC kernel of {setup.profile.name or 'this profile'}, because "
-            "the paper does not state the size of the large electrode (Fig. 17)"
+            f"PC is stimulated by the PC kernel of {setup.profile.name or 'this profile'}, not by "
+            "the paper's large electrode, whose size is unknown (Fig. 17)"
         )
 
     def trial(condition: Condition) -> Trial:
@@ -178,8 +178,7 @@ def discomfort(setup: Setup) -> Trials:
 
 
 def _rising(train: Train, full_ma: float) -> Course:
-    """Raise the current over the duration of a train. Return y at the first key, or n without a
-    key."""
+    """Raise the current over the duration of a train. Return y at a key press, otherwise n."""
     steps = round(train.seconds / STEP_S)
     pressed: bool | None = None
     while pressed is None:
@@ -304,7 +303,7 @@ def trials_of(name: str, setup: Setup) -> tuple[Setup, Trials]:
 
 
 def _checked(name: str, entry: Experiment, setup: Setup) -> Trials:
-    """Yield the trials of a user's experiment; turn exceptions in it into an ExperimentError."""
+    """Yield trials of a user's experiment. Errors in the user's code become ExperimentErrors."""
     answer = None
     try:
         trials = entry.trials(setup)

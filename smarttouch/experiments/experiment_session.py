@@ -17,7 +17,7 @@ from smarttouch.experiments.procedures import LIMITS, middle_and_spread
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import Answer, Setup, Trial, Trials
 
-_TOLERANCE = 1e-6  # allowed relative or absolute rounding error of conditions read from a file
+_TOLERANCE = 1e-6  # largest allowed error, relative or absolute, of a condition read from a file
 
 
 @dataclass
@@ -72,7 +72,7 @@ class ExperimentSession:
         }  # fmt: skip
 
     def before(self, modeled: bool = False) -> Iterator[str]:
-        """Yield lines to show before a session; ``modeled`` if a `SimulatedObserver` answers."""
+        """Yield lines shown before a session. ``modeled``: whether `SimulatedObserver` answers."""
         total = "" if self.setup.total is None else f" of {self.setup.total}"
         if self.resumed and not self.over:
             yield f"continues at trial {self.resumed + 1}{total}: {self.file.path}"
@@ -141,7 +141,7 @@ def _next(trials: Trials, answer: Answer) -> Trial | None:
 def _is_same(trial: Trial, row: Row) -> bool:
     condition = trial.condition
     pairs = [(condition.standard, row["standard"] or 0.0)]
-    # The comparison is NaN if the keys of the participant determine it.
+    # A comparison that the participant's keys determine is NaN, and cannot be checked.
     if not math.isnan(condition.comparison):
         pairs.append((condition.comparison, _comparison(row)))
     interval = condition.comparison_interval or None

@@ -19,9 +19,9 @@ FEWEST_ANSWERS = 15
 MOST_UNANSWERED = 0.5
 """Largest allowed share of unanswered trials. Above it the answers may be biased."""
 SAME_INTERVAL = 0.95
-"""Largest allowed share of answers for one interval. Above it answers ignore the stimulus."""
-FLAT = 0.02  # significance level of the test for a dependence on the comparison
-_FALLING = -2.58  # z score below which a trend is falling; by chance in 1 of 200 sessions
+"""Largest allowed share of answers that name the same interval. A larger share means guessing."""
+FLAT = 0.02  # largest p value with which answers count as dependent on the comparison
+_FALLING = -2.58  # a trend with a smaller z score is falling; by chance, 1 of 200 is smaller
 _CURVE_POINTS = 301
 _BOUNDED = ("threshold", "weber", "middle", "lower", "lower_weber")
 
@@ -128,8 +128,8 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
     if _chance_of_flat(found, _guessing(answers, model)) > FLAT:
         if _trend(counts) < _FALLING:
             return none(
-                f"{success} less often at higher comparisons: check whether the keys, or "
-                "comparison and standard, are mixed up"
+                f"higher comparisons were {success} less often than lower ones: check whether the "
+                "keys are swapped, or comparison and standard"
             )
         return none(
             f"answers do not depend on the comparison: {success} in {share:.0%} of {total} "
@@ -172,8 +172,8 @@ def _chance_of_flat(fitted: Fit, share: float) -> float:
 def _guessing(answers: Answers, model: Model) -> float:
     """Return the share of successes of a participant who guesses.
 
-    If a success is a correct answer, the share is known. Else the observed share is used. A test
-    against the observed share is weaker: adaptive procedures keep this share nearly constant.
+    If a success is a correct answer, the share is known. Otherwise return the observed share. This
+    choice weakens the test: adaptive procedures keep the observed share nearly constant.
     """
     if not isinstance(model.guess, str) and model.guess > 0:
         return model.guess

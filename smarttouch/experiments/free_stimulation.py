@@ -15,7 +15,8 @@ from smarttouch.profile.profile import require_driven
 from smarttouch.running.step import Listener, StepResult
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
 
-SLOWEST_HZ, STEP_HZ = 10.0, 5.0  # lowest pulse rate (paper, III-B.1); change per key
+SLOWEST_HZ = 10.0  # lowest pulse rate (paper, III-B.1)
+STEP_HZ = 5.0  # change of the pulse rate per key press
 
 
 def raise_to_device_limits(profile: Profile) -> Profile:

@@ -5,9 +5,9 @@ they reach deep enough, PC. RA spikes carry the frequency. People know frequenci
 vibration, where the share of PC spikes grows with frequency. So they perceive a pulse train with
 few PC spikes as slower than it is.
 
-Assumptions: the soft minimum in `perceived_hz`; and `RA_LIMIT_HZ`, `BASE_WEBER` and `SHARPNESS`,
-which are fitted to the paper's RA mode. The limit of RA mode near 65 Hz is therefore an input, not
-a prediction. The results for PC mode are predictions.
+The soft minimum in `perceived_hz` is an assumption. `RA_LIMIT_HZ`, `BASE_WEBER` and `SHARPNESS` are
+fitted to the paper's RA mode. The limit of RA mode near 65 Hz is therefore an input, not a
+prediction. The results for PC mode are predictions.
 """
 
 import math
@@ -66,16 +66,16 @@ SPREAD = math.log1p(BASE_WEBER) / float(math.sqrt(2) * ndtri(0.75))
 @cache
 def _learned() -> tuple[Array, Array]:
     """Return frequencies of vibration, Hz, and the ratio of PC to RA spikes at each."""
-    # Stop at the best frequency of PC: above about 300 Hz the ratio falls, so ratios would repeat.
+    # Stop where PC is most sensitive: `np.interp` needs rising ratios. They fall above 300 Hz.
     hz = np.geomspace(RA_LIMIT_HZ, best_hz(Afferent.PC), 200)
     return hz, sensitivity(Afferent.PC, hz) / sensitivity(Afferent.RA, hz)
 
 
 def believable_hz(ratio: float) -> float:
-    """Return the highest frequency perceived at a ratio of PC to RA spikes, Hz.
+    """Return the highest frequency, Hz, that is perceived at a ratio of PC to RA spikes.
 
-    A mechanical vibration of the returned frequency evokes this ratio: PC's sensitivity divided by
-    RA's sensitivity (paper, Fig. 2). Without PC spikes the result is `RA_LIMIT_HZ`.
+    The result is the frequency of the mechanical vibration that evokes this ratio of spikes (PC's
+    sensitivity divided by RA's; paper, Fig. 2). Without PC spikes the result is `RA_LIMIT_HZ`.
     """
     hz, ratios = _learned()
     return float(np.interp(ratio, ratios, hz))
@@ -90,7 +90,7 @@ def perceived_hz(hz: float, ratio: float) -> float:
     return float((hz**-SHARPNESS + limit_hz**-SHARPNESS) ** (-1 / SHARPNESS))
 
 
-_LONGEST_US = 60_000  # longest simulated pause between slots; usual refractory periods are shorter
+_LONGEST_US = 60_000  # longest simulated pause between slots, µs; longer pauses count as 60 ms
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,12 +208,12 @@ class SimulatedObserver:
 
     finger: Finger
     seed: int = 0
-    # A train is felt in half of the trials if this mean number of afferents fires in a slot. Our
-    # choice: one afferent in every second slot, because a person can feel the spikes of a single RA
-    # afferent (Vallbo et al. 1984).
+    # Mean number of afferents that fire in a slot, at which a train is felt in half of the trials.
+    # We choose one afferent in every second slot, because a person can feel the spikes of a single
+    # RA afferent (Vallbo et al. 1984).
     felt_afferents: float = 0.5
-    slope: float = 0.1  # standard deviation of the logarithm of `felt_afferents`
-    # guess: share of *felt* without spikes; lapse: share of answers at random
+    slope: float = 0.1  # standard deviation of the noise in log(afferents per slot)
+    # guess: share of *felt* without spikes; lapse: share of random answers
     guess: float = 0.02
     lapse: float = 0.02
     # standard deviation of a perceived position, mm
@@ -261,8 +261,7 @@ class SimulatedObserver:
         return "l" if self._larger(np.array(at_mm), self.place_mm) == "1" else "r"
 
     def _softer(self, intervals: Sequence[Interval]) -> str | None:
-        """Return the interval whose rate changes least while the finger moves (paper, Section
-        III-B.2)."""
+        """Return the interval whose rate changes least while the finger moves (paper, III-B.2)."""
         changes = [float(np.ptp(np.diff(interval.time_s))) for interval in intervals]
         return None if math.isclose(*changes, abs_tol=1e-3) else str(1 + int(np.argmin(changes)))
 

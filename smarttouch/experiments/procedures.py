@@ -128,7 +128,7 @@ def constant_stimuli(
 
 
 def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
-    """Yield the interval of the comparison, in balanced random order; 0 without two intervals."""
+    """Yield the comparison's interval: 1 or 2 in balanced random order, 0 if there is only one."""
     random = np.random.default_rng([seed, 2])
     while True:
         block = [int(interval) for interval in random.permutation([1] * 4 + [2] * 4)][::-1]
@@ -136,7 +136,7 @@ def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
 
 
 _COARSE_FACTOR, _COARSE_REVERSALS = 2.0, 2
-"""Steps are `_COARSE_FACTOR` times as large up to `_COARSE_REVERSALS` reversals (our choice)."""
+"""The steps before reversal `_COARSE_REVERSALS` are multiplied by `_COARSE_FACTOR` (our choice)."""
 _REVERSALS = 14  # number of reversals that ends a staircase
 _PINNED_TRIALS = 4
 """A staircase stops after this number of answers in a row at one end of the range."""
@@ -147,7 +147,7 @@ def weighted_staircase(
     start: float,
     lowest: float,
     highest: float,
-    step: float,  # step down after the second reversal, relative to the comparison
+    step: float,  # step down, relative to the comparison; see `_COARSE_FACTOR`
     standard: float = 0.0,  # standard; 0 if there is none
     target: float = 0.75,  # share of successes at which the staircase converges
     most_trials: int = 80,
@@ -202,9 +202,9 @@ def quest_plus(
     """Present the stimulus whose answer has the largest expected information, on a grid of
     threshold, slope and lapse rate (QUEST+, Watson, Journal of Vision 17(3):10, 2017).
 
-    The expected information is the expected decrease of the posterior's entropy. It equals the
-    entropy of the answer minus the mean entropy of the answer at known parameters. This difference
-    needs no posterior for each stimulus. A trial without an answer counts toward ``most_trials``.
+    The expected information is the expected decrease of the posterior's entropy. It is computed
+    without a posterior for each stimulus, as the entropy of the answer minus the mean entropy of
+    the answer at known parameters. A trial without an answer counts toward ``most_trials``.
     """
     low, high = math.log(lowest), math.log(highest)
     places = np.linspace(low, high, _STIMULI)

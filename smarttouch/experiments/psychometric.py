@@ -1,5 +1,5 @@
-"""Psychometric functions ``p = guess + (1 - guess - lapse) F((x - middle) / spread)``; their fit.
-p is the probability of a success, F the cumulative normal, as in the paper, and x the stimulus or
+"""Fit of the psychometric function ``p = guess + (1 - guess - lapse) F((x - middle) / spread)``.
+p is the probability of a success, F the cumulative normal (as in the paper), and x the stimulus or
 its natural logarithm (Wichmann and Hill, Perception & Psychophysics 63, 2001, Eq. 1).
 
 Estimates and credible intervals come from the posterior on a grid of parameters. Kuss, Jäkel and
@@ -29,7 +29,7 @@ QUANTILES = (0.5, 0.025, 0.975)
 _MIDDLES, _SPREADS, _LAPSES, _GUESSES = 151, 21, 5, 6
 _NARROWEST, _WIDEST = 1 / 40, 1.0
 """Smallest and largest spread of the grid, relative to the range of comparisons. Our own choice:
-the 95 % intervals then contain the threshold of 92 to 98 % of simulated subjects."""
+the 95 % intervals then contain the true threshold for 92 to 98 % of simulated subjects."""
 _EDGE = 0.05
 """Margin at the edge of the grid, relative to the range of comparisons. If a credible interval
 ends in this margin, the end counts as undetermined."""
@@ -68,11 +68,11 @@ class Model:
     """Family of psychometric functions that increase with the stimulus."""
 
     # Lower asymptote. A number: the known guess rate, 0.5 for two intervals, 1/m for m letters.
-    # "equal": the lapse rate, for *which was higher* with comparisons on both sides of the
-    # standard. "free": fitted, up to `MOST_GUESSES`, for *felt* with trials without a stimulus.
+    # "equal": equal to the lapse rate (for *which was higher*, comparisons on both sides of the
+    # standard). "free": fitted, up to `MOST_GUESSES` (for *felt*, some trials without a stimulus).
     guess: Guess = "equal"
-    # Share of successes that defines the threshold. Lapses are not counted; if `guess` is "free",
-    # guesses are not counted. None: 0.75 if `guess` is "equal" (paper, Section III.C); 0.5 if
+    # Share of successes at the threshold, for a participant without lapses (and, if `guess` is
+    # "free", without guesses). None: 0.75 if `guess` is "equal" (paper, Section III.C); 0.5 if
     # `guess` is "free"; otherwise (1 + `guess`) / 2.
     at: float | None = None
     logarithmic: bool = True  # whether x is the logarithm of the stimulus
@@ -146,7 +146,7 @@ class Fit:
 
     model: Model
     counts: Counts  # fitted answers
-    ends: tuple[float, float]  # smallest and largest x of comparisons and standard
+    ends: tuple[float, float]  # smallest and largest x among the comparisons and the standard
     functions: Parameters  # (G,)
     log_likelihoods: Array  # (G,): without the binomial coefficients
 
@@ -158,7 +158,7 @@ class Fit:
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Posterior means, (1,) each. `middle` puts the threshold at its posterior median."""
+        """Posterior means, (1,) each, except `middle`, which follows from the median threshold."""
         _, spread, lapse, guess = self.functions
         spread = np.exp([self.weights @ np.log(spread)])
         middle = self._quantiles(self.model.level)[0] - ndtri(self.model.level) * spread
@@ -179,7 +179,7 @@ class Fit:
         return np.asarray(self.model.probability(self.model.axis(stimulus), self.parameters)[0])
 
     def _quantiles(self, part: float) -> Array:
-        """Return `QUANTILES` of the x at which the cumulative normal F equals ``part``."""
+        """Return posterior `QUANTILES` of the x at which the cumulative normal F is ``part``."""
         position = self.model.place(part, self.functions)
         order = np.argsort(position)
         below = np.cumsum(self.weights[order]) - self.weights[order] / 2
@@ -190,7 +190,7 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
     """Fit psychometric functions to answers at two or more comparisons.
 
     The priors of the middle, the logarithm of the spread, the lapse rate and a free guess rate are
-    uniform. The grid of middles extends beyond the comparisons on both sides, by their range.
+    uniform. The middles on the grid cover three times the range of comparisons and standard.
     """
     x = model.axis(counts.stimulus)
     finite = model.axis([*counts.stimulus, standard or counts.stimulus[-1]])
@@ -210,7 +210,7 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
 
 
 def _refined(values: Array, weights: Array) -> Array:
-    """Return evenly spaced values over the range that has weight, as many as ``values`` has."""
+    """Return ``len(values)`` values, evenly spaced over the range of non-negligible weight."""
     some = np.flatnonzero(weights > _NEGLIGIBLE)
     low, high = values[max(some[0] - 1, 0)], values[min(some[-1] + 1, len(values) - 1)]
     return np.linspace(low, high, len(values))

@@ -1,5 +1,4 @@
-"""Calibration of an optical sensor: its dark and white reference, and its registration with the
-electrodes by a printed target."""
+"""Calibration of an optical sensor: its flat field, and its registration with the electrodes."""
 
 import time
 from collections.abc import Sequence
@@ -79,8 +78,8 @@ class OpticsFound:
     """Flat field of a sensor, and the unevenness of blank paper before and after correction."""
 
     field: FlatField
-    # uneven_before, uneven_after: gray levels of blank paper, standard deviation divided by mean.
-    # With two or more dark and white frames, `uneven_after` is measured on frames held out.
+    # uneven_before, uneven_after: standard deviation of gray levels of blank paper, divided by the
+    # mean. With several frames, `uneven_after` comes from frames that did not give the flat field.
     uneven_before: float
     uneven_after: float
 
@@ -107,7 +106,7 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
 
 
 def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
-    """Return the unevenness of every second frame, corrected by the flat field of other frames."""
+    """Return the unevenness of every second frame. The other frames give the flat field."""
     if min(len(dark), len(white)) > 1:
         field = FlatField.measure(dark[::2], white[::2])
         white = white[1::2]
@@ -125,7 +124,7 @@ Gray = NDArray[np.integer[Any] | np.floating[Any]]
 
 MARKERS = 3  # number of markers in each row and column of the target
 MODULES = 7 * MARKERS - 1  # squares across the target: 6 for each marker, 1 between two markers
-FIELD_SHARE = 1.5  # target side divided by side of the view; above 1 to allow for inexact centering
+FIELD_SHARE = 1.5  # side of the target divided by the shorter side of the field of view
 FEWEST_PIXELS = 24  # fewest rows and columns of a sensor in which markers are recognized
 LEAST_CORRELATION = 0.8  # smallest allowed correlation with the target; a flat target exceeds 0.9
 MOST_OUTSIDE = 0.25  # largest allowed share of electrodes outside the image
@@ -133,7 +132,8 @@ DOTS_PER_MM = 50  # resolution of the printed target
 _SIZES_MM = (1.0, 200.0)
 _MARGIN_MM = 8.0
 _WORKING_SIDE = 240  # shorter side of the image in which markers are detected, pixels
-_MODULE_PX, _QUIET = 12, 2  # of `picture`: width of a module, pixels; width of the margin, modules
+_MODULE_PX = 12  # width of a module in `picture`, pixels
+_QUIET = 2  # width of the white margin of `picture`, modules
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class PageTarget:
 
 
 def target_for(profile: Profile) -> PageTarget:
-    """Return a target that is larger than the sensor's field of view."""
+    """Return a target whose side is `FIELD_SHARE` times the shorter side of the field of view."""
     optics = profile.optics
     if min(optics.sensor_columns, optics.sensor_rows) < FEWEST_PIXELS:
         raise CalibrationError(
@@ -233,7 +233,7 @@ class RegistrationFound:
 
 
 def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> RegistrationFound:
-    """Determine the map from page to pixels from an image of the printed target, (H, W)."""
+    """Determine the map from page to pixels from an image, (H, W), of the printed target."""
     rows, columns = image.shape
     scale = _WORKING_SIDE / min(rows, columns)
     size = round(columns * scale), round(rows * scale)
@@ -271,7 +271,7 @@ def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> 
 
 
 def _markers(working: Gray) -> tuple[Matrix, Matrix] | None:
-    """Return the corners of detected markers, (N, 2), in modules and in pixels, or None."""
+    """Return corners of markers, (N, 2), in modules and in pixels; None if there is no marker."""
     parameters = cv2.aruco.DetectorParameters()
     # The default window is too small for modules of up to 15 pixels in an enlarged image.
     parameters.adaptiveThreshWinSizeMax = 53

@@ -150,7 +150,7 @@ def from_csv(text: str) -> list[StudyRow]:
 def study_letters(
     study: Study, name: str, profile: Profile, progress: Advance | None = None
 ) -> list[tuple[Choice, Letters]]:
-    """Return the scan sequences of all letters for each combination with one profile.
+    """Return the scan sequences of all letters for each mode, scan and intensity of the study.
 
     If a kernel bank must be designed, `progress` is called with the number of designed sites and
     the number of all sites.
@@ -215,9 +215,9 @@ def run_study(
     """Run or resume a study, write ``rows.csv``, and return its rows.
 
     Rows are sorted by profile, anatomy, finger, combination and letter. Fingers run in parallel by
-    `joblib.Parallel`: on all cores, or as set by ``joblib.parallel_config``. The rows of each
-    finished finger are stored in a file of the folder, and reused unless anything that they depend
-    on has changed.
+    `joblib.Parallel`: on all cores, or as set by ``joblib.parallel_config``. Each finished finger
+    has a file of rows in the folder. This file is reused if study, profile, anatomy and `VERSION`
+    have not changed.
     """
     parts = folder / _PARTS
     try:
@@ -253,7 +253,7 @@ def run_study(
 
 
 def _beside(folder: Path, name: str) -> str | Path:
-    """Return the path of a file in a folder; if there is no such file, return the name."""
+    """Return the path of the file ``name`` in a folder, or ``name`` if there is no such file."""
     there = folder / name
     return there if os.path.isfile(there) else name  # noqa: PTH113 (Path raises on long names)
 
@@ -308,8 +308,8 @@ class Summed:
     """Summary of one combination on all fingers of one anatomy."""
 
     anatomy: str
-    label: str  # values of the combination that differ within the study
-    fingers: dict[str, list[float]]  # by measure: one value for each finger, the mean over letters
+    label: str  # values of profile, mode, scan and intensity that vary in the study
+    fingers: dict[str, list[float]]  # key: measure; value: mean over letters for each finger
     total_ma: float  # mean total current of a slot
 
     def interval(self, measure: str) -> tuple[float, float, float]:

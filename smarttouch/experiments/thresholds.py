@@ -27,16 +27,17 @@ from smarttouch.running.step import Listener, StepResult
 from smarttouch.stimulation.safety_limits import LONGEST_RAMP_S
 
 RISE_S = 6.0  # rise time of the first run from zero to the expected threshold
-REACTION_S = 0.35  # reaction time: the threshold is the current at this time before the key
+REACTION_S = 0.35  # reaction time: the threshold is the current 0.35 s before the key press
 PAUSE_S = (1.0, 2.0)
 """Range of the random pause before a run, s. After a fixed pause, time would reveal the current."""
-START_SHARE = (0.4, 0.7)  # later runs rise fast to a random share of the lowest threshold so far
-LEAP = 10  # factor by which the current rises faster below `START_SHARE`
+START_SHARE = (0.4, 0.7)
+"""Range of a random share. Later runs rise fast up to this share of the lowest threshold so far."""
+LEAP = 10  # slope of the fast rise (see `START_SHARE`), relative to the slope after the fast rise
 CEILING_S = 1.0  # a run ends after this time at the largest current
-MOST_APART = 1.4  # ratio of largest to smallest threshold above which more runs follow
+MOST_APART = 1.4  # largest ratio of the thresholds of two runs; above it, more runs follow
 EXTRA_RUNS = 2
 HURRIED_S = 0.8
-"""A run is hurried if its two keys are closer than this, s: a key was held or the current hurt."""
+"""Shortest time between the two keys of a run, s. A shorter time suggests a held key or pain."""
 MOST_HURRIED = 2  # largest number of hurried runs that are repeated
 LEAST_RATIO = 1.05  # smallest usable ratio of comfort level to threshold
 STOP_KEYS = ("q", "Q", "\x1b", "\x03", "\x04", "")
@@ -50,8 +51,8 @@ _REACTION, _HURRIED, _CEILING = (
 def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
     """Return a copy of a profile whose comfort levels are as high as the device's limits allow.
 
-    The limits of current, charge, pulse, rate and duty and the ramp in mA/s do not change.
-    ``spare_ma`` is a margin for rounding below the limits of charge and total current.
+    The safety limits do not change. The largest slope in mA/s does not grow. Comfort levels
+    stay ``spare_ma`` below the limits of charge and total current, as a margin for rounding.
     """
     full_ma, limits = float(profile.full_ma.max()), profile.limits
     by_charge_ma = 1000 * limits.charge_uc / profile.pulse.width_us
@@ -62,7 +63,7 @@ def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
     electrode_ma = limits.electrode_ma or (most_ma,) * len(profile.electrodes)
     ceilings_ma = [_whole_ua(min(most_ma, limit_ma)) for limit_ma in electrode_ma]
     perception = profile.perception.model_dump() | {"comfort_ma": ceilings_ma}
-    # A higher ceiling needs a longer ramp at the same mA/s. A lower ceiling keeps the ramp.
+    # `ramp_s` is the time from zero to the ceiling: lengthen it with the ceiling to keep the slope.
     ramp_s = min(LONGEST_RAMP_S, limits.ramp_s * max(1.0, max(ceilings_ma) / full_ma))
     return Profile.model_validate({
         **profile.model_dump(), "perception": perception,
@@ -78,8 +79,8 @@ def _whole_ua(current_ma: float) -> float:
 class Thresholds:
     """Detection threshold and comfort level of one electrode."""
 
-    # threshold_ma, comfort_ma: medians of the runs. NaN if nothing was felt up to the largest
-    # current. Runs that never became too strong count with the largest current as comfort level.
+    # threshold_ma, comfort_ma: medians of the runs. NaN if the largest current was not felt.
+    # In a run without a second key, the largest current counts as the comfort level.
     threshold_ma: float
     comfort_ma: float
     spread: float  # robust standard deviation of the runs' thresholds, divided by their median
@@ -110,7 +111,7 @@ class AscendingLimits:
     ceiling_ma: float  # largest current of a run
     expected_ma: float  # expected threshold; sets the slope of the current
     repeats: int = 3  # number of runs, if their thresholds agree
-    fastest_ma_s: float = float("inf")  # largest slope
+    fastest_ma_s: float = float("inf")  # largest slope of the current
     seed: int | tuple[int, ...] = 0  # seed of pauses and starts
 
     def __post_init__(self) -> None:
@@ -146,7 +147,7 @@ class AscendingLimits:
         return not apart or len(thresholds_ma) >= self.repeats + EXTRA_RUNS
 
     def _rise(self) -> Generator[float, bool | None, tuple[float, float] | None]:
-        """Yield the currents of a run; return threshold and comfort level, or None to repeat it."""
+        """Yield the currents of a run. Return threshold and comfort level; None means repeat."""
         pause, levels, threshold_ma, felt_at = self._draw_pause(), [0.0], math.nan, 0
         share = self._random.uniform(*START_SHARE) if self._runs else 0.0
         start_ma = share * min((run_ma for run_ma, _ in self._runs), default=0.0)
@@ -176,7 +177,7 @@ class AscendingLimits:
                 return threshold_ma, self.ceiling_ma if felt_at else math.nan
 
     def _is_hurried(self, steps: int, felt_at: int) -> bool:
-        """Return whether a second key came too soon after the first; count such keys."""
+        """Return whether to repeat a run because its second key came too soon. Count such runs."""
         hurried = felt_at > 0 and steps - felt_at < _HURRIED and self._hurried < MOST_HURRIED
         self._hurried += hurried
         return hurried
@@ -195,10 +196,10 @@ _RESULTS = tuple(each.name for each in fields(Thresholds))
 
 
 class Progress(AnswerFile):
-    """File with the results of an interrupted threshold session, next to the profile to be written.
+    """File with the results of a threshold session, with which an interrupted session continues.
 
-    Each result is on disk before `keep` returns. A file whose settings differ from ``about`` is
-    refused. An open file is locked against other sessions. Closing removes a file without results.
+    Each result is on disk before `keep` returns. Settings other than ``about`` in an existing file
+    raise ExperimentError. An open file is locked. `close` removes a file without results.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Value]) -> None:
@@ -240,7 +241,7 @@ class Progress(AnswerFile):
 
 def threshold_trials(
     profile: Profile,  # profile to measure with
-    board: Board,  # must be open before the first trial; also limits the current
+    board: Board,  # must be open before the first trial; its `max_current_ma` limits the current
     sites: Sequence[int],
     progress: Progress,  # stores each result; electrodes with a stored result are skipped
     say: Callable[[str], None],  # shows a line of text
@@ -250,7 +251,7 @@ def threshold_trials(
 ) -> Trials:
     """Measure one electrode after another. Repeat an electrode once if its results are unusable."""
     measuring = measuring_profile(profile)
-    # A train needs two pulses.
+    # At a low pulse rate, lengthen the train: it needs two pulses.
     setup = Setup(measuring, Afferent.RA, train_s=max(0.8, 2 / measuring.pulse.rate_hz))
     for site in sites:
         if site in progress.found:
@@ -277,8 +278,8 @@ def threshold_trials(
 
 Found = Mapping[int, Thresholds]
 Keys = Callable[[Callable[[str], None]], AbstractContextManager[None]]
-"""Function whose argument receives each pressed key while the returned context manager is open. An
-empty key means that the terminal was closed."""
+"""Function that takes a handler of keys and returns a context manager. In its context, the handler
+receives each pressed key. An empty key means that the terminal was closed."""
 
 
 def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
@@ -327,7 +328,7 @@ class ThresholdProcedure:
     file: ProfileFile  # profile file for the results
     board_url: str
     sites: Sequence[int]
-    # see `threshold_trials`
+    # repeats, seed: see `threshold_trials`
     repeats: int = 3
     seed: int = 0
 

@@ -22,8 +22,8 @@ PAUSE_S = 0.5  # shortest time between an answer and the next trial
 PATIENCE_S = 10.0  # longest wait for the current of a trial, with a simulated participant
 MOST_SPOILED = 10  # largest number of times that a trial is repeated after a loss of current
 _SPOILED = 0.5
-"""The current counts as lost below this share of the requested intensity. A key press alone is
-not such a loss. Trials with exact currents use `STEADY` instead."""
+"""Smallest allowed intensity, relative to the requested intensity. Below it, current counts as lost
+and the trial is repeated. Trials with exact currents use `STEADY` instead."""
 _NUMBERS = ("first", "second")
 
 
@@ -155,7 +155,7 @@ class TrialSource(Program):
         return self._ask(trial) if self._observer is None else self._decided(trial, felt)
 
     def _open(self, raise_level: Callable[[], float]) -> None:
-        """Raise the level and pause until ``raise_level`` returns 0: the level is reached."""
+        """Call ``raise_level``, with pauses, until it returns 0 because the level is reached."""
         try:
             while raise_level():
                 self._say("")
@@ -178,7 +178,7 @@ class TrialSource(Program):
             self._softness = 1.0
 
     def _attempt_course(self, trial: Trial) -> Answer:
-        """Present the current that `Trial.course` yields; it rises no faster than the ramp."""
+        """Present the current that `Trial.course` yields, but raise it no faster than the ramp."""
         course, (train,) = trial.course, trial.intervals
         assert course is not None
         if self._observer is not None:
@@ -209,7 +209,7 @@ class TrialSource(Program):
                     self._pressed.popleft()
             if self._wanted is None:
                 return None
-            # As in the safety gate, the first step from zero counts as `FIRST_NS` of the ramp.
+            # The gate allows a first step from zero as large as the ramp's rise in `FIRST_NS`.
             risen_ns = min(since_ns - before_ns, MOST_STEP_NS) if level else FIRST_NS
             most_level = level + risen_ns / 1e9 / self._profile.limits.ramp_s
             level, before_ns = min(1.0, self._wanted / full_ma, most_level), since_ns
@@ -227,7 +227,7 @@ class TrialSource(Program):
         return replace(answer, reached=shown.current_ma, found=found)
 
     def _wait_for_force(self) -> float:
-        """Wait until force and intensity suffice. Return 0, so that `_open` ends."""
+        """Wait until force and intensity suffice, then return 0 to end the loop in `_open`."""
 
         def is_ready() -> bool:
             ready = self.gate * self.user_level >= STEADY

@@ -39,7 +39,7 @@ class Train:
     # (3, E) float32, in [0, 1]: one row for each `Afferent`
     activation: NDArray[np.float32]
     period_us: int  # time from pulse to pulse
-    pulses: int  # number of pulses; the train ends one period after the last
+    pulses: int  # number of pulses; the train ends one period after the last pulse
     level: float = 1.0  # in [0, 1]; the user's intensity is multiplied by it
     is_blank: bool = False  # whether the train is silent
     softness: float = 1.0  # 1: constant rate; 0: the rate follows the finger's force
@@ -54,9 +54,9 @@ class Train:
 
 
 Course = Generator[float, bool | None, Any]
-"""Generator that sets the current of one electrode from key presses. Yields the current, mA, for
-each `STEP_S`. Receives whether a key was pressed, or None if the current was lost and rises from
-zero again. Returns the response as text, or another result for `Answer.found`."""
+"""Generator that sets the current of one electrode from key presses. It yields a current, mA, for
+each `STEP_S`, and receives whether a key was pressed, or None if the current was lost and rises
+from zero again. Its return value becomes `Answer.found`; a string becomes the response as well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +72,8 @@ class Trial:
     answers: Mapping[str, str] = field(default_factory=lambda: YES_OR_NO)  # response by key
     success: str = "y"  # response that counts as a success
     target: str = ""  # correct response; empty if there is none
-    exact: bool = False  # whether a current lowered by force or the user's intensity counts as lost
-    course: Course | None = None  # sets the current of a single interval; any key is then an answer
+    exact: bool = False  # whether current counts as lost if force or user intensity lowers it
+    course: Course | None = None  # sets the current from key presses, in a trial with one interval
 
     @property
     def alternatives(self) -> tuple[str, ...]:
@@ -135,7 +135,7 @@ class Setup:
     train_s: float | None = None  # None: the experiment's default
     gap_s: float = 0.5  # pause between two intervals
     answer_s: float = 10.0  # time limit for an answer; 0 for none
-    rate_hz: float | None = None  # pulse rate, unless the experiment sets it
+    rate_hz: float | None = None  # pulse rate; None: the rate of the profile
     seed: int = 0  # seed of the order of trials
     total: int | None = field(default=None, init=False)  # number of trials, if known
     notes: list[str] = field(default_factory=list, init=False)  # messages to the user
@@ -224,8 +224,8 @@ def in_two_intervals(
 ) -> Trial:
     """Return a trial of two intervals, one with ``comparison_train`` and one with ``other``.
 
-    The interval of the comparison is the correct response. ``task`` and ``unit`` are described at
-    `Trial`; ``more`` holds further fields of `Trial`.
+    By default the correct response is the number of the interval that presents the comparison.
+    `Trial` describes ``task`` and ``unit``. ``more`` sets further fields of `Trial`.
     """
     at = condition.comparison_interval
     return Trial(

@@ -142,7 +142,7 @@ def test_upside_down():
     subject = Subject(30.0, 0.25, 0.5)
     random = np.random.default_rng(1)
     swapped = session(lambda each, n: random.random() > subject.probability(each.comparison))
-    assert "mixed up" in verdict(swapped).verdict
+    assert "are swapped" in verdict(swapped).verdict
 
 
 def test_beyond_the_range():
