@@ -22,8 +22,8 @@ RESERVED = 0.5
 """Initial share of the requested current if energy is held constant. The current rises to the full
 request when impedance falls to a quarter of its first value."""
 FAINTEST_ENERGY = RESERVED / 4
-"""Smallest share of the requested current if energy is held constant. It applies from 16 times the
-first impedance."""
+"""Smallest share of the requested current if energy is held constant. The current falls to this
+share when impedance rises to 16 times its first value."""
 WORTHWHILE = 0.999  # scale factors above this are so close to 1 that they are not applied
 
 Array = NDArray[np.float64]
@@ -35,7 +35,8 @@ class Adaptation:
 
     To hold ``charge``, pulses near the compliance voltage become weaker and longer; the board must
     allow a width for each slot. To hold ``energy``, the requested current is multiplied by
-    `RESERVED` and by the square root of (first impedance / present impedance), at most by 1.
+    `RESERVED` and by the square root of (first impedance / present impedance). The product of these
+    factors is at most 1.
     """
 
     def __init__(self, profile: Profile, hold: Hold, compliance_v: float) -> None:
@@ -45,8 +46,8 @@ class Adaptation:
         self._switched = profile.output.kind != "weighted"
         self._near_v = NEAR * compliance_v
         longest = profile.pulse.width_us / profile.limits.pulse_us
-        # Lower bound of `_highest_ua`: `apply` does not weaken full pulses further, and a lower
-        # value would only rise slowly again.
+        # Lower bound of `_highest_ua`. With a lower value, `apply` would not weaken pulses of full
+        # intensity further, and `_highest_ua` would take longer to rise.
         self._least_ua = longest * np.asarray(profile.threshold_ma, np.float64) * 1000
         self._highest_ua = np.full(sites, np.inf)
         self._first_kohm = np.full(sites, np.nan)
@@ -76,7 +77,7 @@ class Adaptation:
             wanted = np.fmin(wanted, FASTEST_RISE * self._factor[site])
             self._factor[site] = np.clip(wanted, FAINTEST_ENERGY, 1.0)
             return
-        # The voltage of a saturated source does not show its current: reduce the request stepwise.
+        # The current of a saturated source is unknown, so reduce the requested current stepwise.
         base_ua = np.where(near, peak_ua, self._highest_ua[site])
         ratio = peak_ua * self._near_v / needed_v / base_ua
         highest_ua = np.where(
@@ -85,10 +86,8 @@ class Adaptation:
         self._highest_ua[site] = np.maximum(highest_ua, self._least_ua[site])
 
     def apply(self, slots: Slots) -> Slots:
-        """Return slots with adapted currents and widths, in integer µA and µs.
-
-        Currents sum to zero in each slot. No current rises, and no pulse exceeds the charge limit.
-        """
+        """Return slots with adapted currents and widths, in integer µA and µs. Currents sum to zero
+        in each slot. No current rises, and no pulse exceeds the charge limit."""
         current_ua, width_us, limits = slots.current_ua, slots.width_us, self._limits
         site, peak_ua = slots.site.astype(np.intp), _peak_ua(current_ua)
         if self.holds == "charge":

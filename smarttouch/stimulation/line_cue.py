@@ -55,8 +55,8 @@ class LineCueMapper(TactileMapper):
         return tactile
 
     def _find_line(self) -> None:
-        """Find the line nearest to the array's middle: rotate the ink until its rows differ most,
-        then search for dark rows."""
+        """Find the line nearest to the array's middle. Rotate the ink to the angle at which
+        adjacent rows differ most, then search for dark rows."""
         turned = self._inked.reshape(-1).take(self._pixel).mean(axis=2, dtype=np.float32) / 255
         steepest = int(np.square(np.diff(turned)).sum(axis=1).argmax())
         angle_deg = float(_ANGLES_DEG[steepest])

@@ -20,7 +20,7 @@ _DISCHARGE_US = 100
 _STEPS = 20
 _SLOWEST_US = 20_000  # shortest period in which every board can report its voltages
 _SWITCHING_US = 30  # longest time that switching adds to a slot
-_PAIRS = 4  # number of following electrodes with which each one forms a pair
+_PAIRS = 4  # each electrode forms a pair with each of the next four electrodes
 
 
 def probe_sequences(
@@ -45,7 +45,8 @@ def probe_sequences(
     driven = np.tile(sites, len(turns))
     returns = [back for turn in turns for back in np.roll(sites, -turn)[:, None]]
     if not in_pairs:
-        # Begin after the driven electrode, so that the remainder goes to different electrodes.
+        # The first return electrodes carry the rounding remainder. Begin after the driven
+        # electrode, so that each slot begins with another electrode.
         returns = [np.roll(sites, -at)[1:] for at in range(len(sites))]
     slot_us = max(PROBE_US + _DISCHARGE_US, int(np.ceil(PROBE_US / limits.duty))) + _SWITCHING_US
     # The ramp rises only while current flows, so each scan must be long enough for one step.

@@ -48,7 +48,7 @@ class ChargeBalance:
         return float(np.abs(self.charge_uc).max(initial=0.0))
 
     def add(self, sequence: ScanSequence, times: int = 1) -> None:
-        """Add the charge of a sequence that is delivered ``times`` times."""
+        """Add the charge of a sequence; ``times`` is the number of its passes."""
         self.charge_pc += times * net_charge_pc(sequence)
 
     def balancing(self, sequence: ScanSequence) -> ScanSequence:
@@ -117,7 +117,6 @@ def add_recharge(
     allowed_us = np.minimum(MOST_RECHARGE_PC // most_ua[able], MOST_RECHARGE_US)
     width_us = int(np.minimum(needed_us, allowed_us).max())
     most_ua = np.minimum(most_ua, MOST_RECHARGE_PC // width_us)
-    # With integers far below 2**53 the float64 product is exact.
     widths = sequence.width_us.astype(np.float64)
     passed_pc = (widths @ np.abs(sequence.current_ua.astype(np.float64))).astype(np.int64)
     most_pc = passed_pc + np.minimum(asked_pc, most_ua * width_us)
@@ -138,19 +137,19 @@ def add_recharge(
 def _recharge_ua(
     wanted_pc: NDArray[np.int64], most_ua: NDArray[np.int64], width_us: int, total_ua: int
 ) -> NDArray[np.int16]:
-    """Return recharge currents in integer µA that sum to zero and exceed neither their limits nor
-    the wanted charge, (E,)."""
+    """Return recharge currents, (E,), in integer µA that sum to zero. No current exceeds its limit,
+    and no electrode gets more than its wanted charge."""
     within_ua = np.sign(wanted_pc) * np.minimum(np.abs(wanted_pc) // width_us, most_ua)
     surplus = int(within_ua.sum())
     larger = np.flatnonzero(within_ua * surplus > 0)
     if surplus and abs(surplus) <= len(larger):
-        # Reduce the electrodes with the smallest rounding errors by 1 µA each.
+        # Reduce the currents with the smallest rounding errors by 1 µA each.
         rest_pc = np.abs(wanted_pc - within_ua * width_us)[larger]
         within_ua[larger[np.argsort(rest_pc, kind="stable")[: abs(surplus)]]] -= np.sign(surplus)
     poles_ua = np.cumsum([np.maximum(within_ua, 0), np.maximum(-within_ua, 0)], axis=1)
     shared_ua = min(int(poles_ua[0, -1]), int(poles_ua[1, -1]), total_ua)
-    # Scale both cumulative sums to one total and round down. Then the currents sum to zero, and no
-    # current becomes larger.
+    # Scale the cumulative sums of both polarities to the same total, and round down. Then the
+    # currents sum to zero, and no current becomes larger.
     cathodic, anodic = (pole * shared_ua // max(1, int(pole[-1])) for pole in poles_ua)
     return np.asarray(np.diff(cathodic - anodic, prepend=0), np.int16)
 

@@ -18,7 +18,7 @@ from smarttouch.stimulation.sequence_limits import Dose, Exposure, prove_sequenc
 
 __all__ = ["ProvedSequence", "Ramp", "SafetyGate", "SafetyLimits"]
 
-LEEWAY_PPB = 1000  # strength, ppb, by which a sequence may exceed the ramp because of rounding
+LEEWAY_PPB = 1000  # largest excess of strength over the ramp's limit, ppb, for rounding errors
 LEVEL_KEPT_NS = 15_000_000_000
 """Longest pause without current, ns, in which the ramp keeps its level. After a longer pause the
 level is zero. The time is sufficient for an answer in an experiment."""
@@ -26,13 +26,13 @@ PLANNED_KEPT_NS = LEVEL_KEPT_NS - 1_000_000_000
 """Longest pause without current, ns, after which plans use the ramp's level. It is shorter than
 `LEVEL_KEPT_NS`, because a sequence is written some time after it is planned."""
 FIRST_NS = 20_000_000
-"""First planned strength above zero, stated as the time, ns, that the ramp needs to reach it. The
-scheduler plans a larger strength if all currents would round to zero."""
+"""First planned strength above zero: the rise of the ramp in this time, ns. If all currents round
+to zero at this strength, the scheduler plans a larger strength."""
 MOST_STEP_NS = 80_000_000
-"""Largest planned increase of strength, stated as the time, ns, that the ramp needs for it."""
+"""Largest planned increase of strength: the rise of the ramp in this time, ns."""
 AHEAD_NS = 85_000_000
-"""Largest excess of a planned strength over the ramp's level, stated as the time, ns, that the ramp
-needs for it. The gate allows 100 ms, so that late sequences can catch up."""
+"""Largest excess of planned strength over the ramp's level: the rise of the ramp in this time, ns.
+The gate allows the rise in 100 ms, so that late sequences can catch up."""
 
 _ARRAYS = (
     ("current_ua", np.dtype(np.int16), 2, True),
@@ -42,12 +42,12 @@ _ARRAYS = (
     ("vibration", np.dtype(np.float32), 1, False),
     ("recharge_ua", np.dtype(np.int16), 1, False),
 )
-"""Name, type and number of dimensions of each array of a sequence. True: the array has one row for
-each slot. False: the array may be None."""
+"""Name, type and number of dimensions of each array of a sequence. The last entry is True if the
+array has one row for each slot, and False if the array may be None."""
 
 WAITS_NS = 5_000_000_000
-"""Largest delay of a proved sequence, ns, in addition to the time of its passes and four more
-periods. A board that lost a command needs more than 2 s to resynchronize."""
+"""Largest wait of a proved sequence, ns, beyond the time of its passes and four periods. After a
+lost command, a board needs more than 2 s to resynchronize."""
 
 
 class Ramp:
@@ -55,10 +55,10 @@ class Ramp:
 
     The level rises only while passes with current are delivered, and never above their strength
     (see `sequence_limits.strength_ppb`). The rise from zero to full takes at least ``ramp_ns``. So
-    that late sequences catch up, the strength of a sequence may exceed the level by the rise in
-    `LATE_NS`. A lower intensity lowers the level. A lower strength at the same intensity does not.
-    The level is zero after `LEVEL_KEPT_NS` without current. Times are those of ``clock`` or, if
-    there is no clock, of the sequences.
+    that late sequences catch up, the strength of a sequence may exceed the level by as much as the
+    ramp rises in `LATE_NS`. A lower intensity lowers the level. A lower strength at the same
+    intensity does not. The level is zero after `LEVEL_KEPT_NS` without current. Times are those of
+    ``clock`` or, if there is no clock, of the sequences.
     """
 
     def __init__(self, ramp_ns: int, clock: Clock | None = None) -> None:
@@ -79,14 +79,13 @@ class Ramp:
     def claim(self, ppb: int, strength_ppb: int, now_ns: int) -> None:
         """Record the intensity of a proved sequence. The next intensity is planned from this value.
 
-        A sequence without current can only lower the value: to 0 after the finger was lifted.
+        A sequence without current never raises the value.
         """
         self._begun, self._newest_ns = True, now_ns
         self._claimed_ppb = ppb if strength_ppb else min(ppb, self._claimed_ppb)
 
     def open_at(self, claimed_ns: int, kept_ns: int = LEVEL_KEPT_NS) -> tuple[int, int]:
-        """Return the present time, ns, which never goes back, and the ramp's level, ppb. The level
-        does not include the rise in `LATE_NS` that `permits` adds."""
+        """Return the present time, ns, and the ramp's level, ppb. The time never decreases."""
         # If the clock goes back, treat it as stopped.
         clock_ns = claimed_ns if self._clock is None else self._clock.now_ns()
         now_ns = max(clock_ns, self._newest_ns)
@@ -118,8 +117,9 @@ class Ramp:
             return min(PPB, risen_ppb, open_ppb + AHEAD_NS * PPB // self._ramp_ns) / PPB
 
     def permits(self, strength_ppb: int, claimed_ns: int, open_ppb: int | None = None) -> bool:
-        """Return whether a sequence of this strength may begin now. The largest permitted strength
-        is the level plus the rise in `LATE_NS`. Give ``open_ppb`` if the level is known."""
+        """Return whether a sequence of this strength may begin now. The strength may exceed the
+        ramp's level by as much as the ramp rises in `LATE_NS`. ``open_ppb`` is the level; if it is
+        None, the level is computed."""
         with self.lock:
             most_ppb = LEEWAY_PPB
             if self._begun:
@@ -128,9 +128,9 @@ class Ramp:
             return strength_ppb <= most_ppb
 
     def note(self, ppb: int, strength_ppb: int, claimed_ns: int, lasting_ns: int) -> None:
-        """Record a written sequence of intensity ``ppb``, whose passes take ``lasting_ns``. A
-        higher level falls to this intensity. While the passes are delivered, the level rises at
-        most to ``strength_ppb``."""
+        """Record a written sequence of intensity ``ppb``. If the level is above this intensity, the
+        level falls to the intensity. While the passes are delivered, for ``lasting_ns``, the level
+        rises up to ``strength_ppb``."""
         with self.lock:
             # When a sequence arrives, the board finishes the current pass and drops later ones.
             now_ns, open_ppb = self.open_at(claimed_ns)
@@ -263,7 +263,7 @@ class SafetyGate:
             if times < 1:
                 raise SafetyError(f"times is {times}, must be 1 or more", limit="times")
             sequence = frozen(sequence)
-            # `prove_sequence` rejects other intensities.
+            # `prove_sequence` rejects intensities outside of [0, 1].
             ppb = parts_per_billion(sequence.intensity) if 0 <= sequence.intensity <= 1 else 0
             load = prove_sequence(sequence, self.limits, ppb)
             time_ns, strength_ppb = sequence.time_ns, load.strength_ppb
@@ -332,7 +332,7 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
             continue
         if not isinstance(values, np.ndarray):
             raise SafetyError(f"{name} is {type(values).__name__}, must be an array", limit=name)
-        # Convert subclasses to plain arrays, as they may behave differently.
+        # Convert to a plain array, because a subclass may behave differently.
         plain = np.asarray(values)
         fits = plain.dtype == kind and plain.ndim == dimensions
         if fits and of_slots:
@@ -344,7 +344,6 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
                 f"dimension(s) for {slots} slots",
                 limit=name,
             )
-        # Arrays backed by bytes are read-only.
         fields[name] = np.frombuffer(plain.tobytes(), kind).reshape(plain.shape)
     for name in ("period_us", "time_ns", "recharge_us"):
         value = getattr(sequence, name)

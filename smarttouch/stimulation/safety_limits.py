@@ -263,8 +263,8 @@ def _check(name: str, value: float, least: float, most: float) -> None:
 
 
 def recharge_most_ua(threshold_ma: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Return the largest recharge current of each electrode, (E,) µA: a tenth of its threshold,
-    (E,) mA, at most `RECHARGE_UA`."""
+    """Return the largest recharge current of each electrode, (E,) µA. It is a tenth of the
+    electrode's threshold, but at most `RECHARGE_UA`."""
     tenths_ua = (math.floor(Fraction(float(threshold)) * 100) for threshold in threshold_ma)
     return np.array([min(RECHARGE_UA, tenth_ua) for tenth_ua in tenths_ua], np.int64)
 
@@ -316,8 +316,8 @@ _SENTENCES = {
     "electrode, {allowed:g} µC: lower the current or the pulse width",
     "claimed_ma": "the strongest current is {value:.3f} mA, but the stated intensity allows "
     "{allowed:.3f} mA: lower the current, or state a higher intensity",
-    "recharge": "the recharge phase is incomplete: give slots before it, {allowed} currents and a "
-    "width, or leave the phase out",
+    "recharge": "a recharge phase needs slots before it, {allowed} currents and a width: "
+    "complete or remove the phase",
     "recharge_us": "the recharge phase takes {value} µs, must take from 1 to {allowed} µs",
     "recharge_balance": "the recharge phase is out of balance by {value} µA: currents must sum to "
     "{allowed}",
@@ -329,10 +329,10 @@ _SENTENCES = {
     "charge is {value:g} µC, and must be between 0 and {allowed:g} µC",
     "passes": "{value} sequences would be delivered within a second, and limits.rate_hz allows "
     "{allowed}: send sequences less often",
-    "pulses_hz": "electrode {electrode}: {value:g} perceptible pulses are above the limit of "
-    "{allowed:g} for the checked time: lower the rate",
-    "mean_ma": "electrode {electrode}: {value:g} µC are above the limit of {allowed:g} µC for the "
-    "checked time: lower the rate",
+    "pulses_hz": "electrode {electrode}: {value:g} perceptible pulses in a pass or a second "
+    "are above the limit of {allowed:g}: lower the rate",
+    "mean_ma": "electrode {electrode}: {value:g} µC in a pass or a second are above the limit of "
+    "{allowed:g} µC: lower the rate",
     "net_ma": "electrode {electrode}: the net charge in a second would be {value:g} µC, above the "
     "limit of {allowed:g} µC: lower the rate, or add recharge phases",
     "order": "the sequence has time {value} ns, which is not after the previous sequence: the time "
@@ -350,7 +350,8 @@ _LIMITS = {
     "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
     "order": "time_ns",
 }  # fmt: skip
-"""`SafetyError.limit` for each key of `_SENTENCES` that is not itself the name of the limit."""
+"""Names of limits (`SafetyError.limit`) for some keys of `_SENTENCES`. Each other key is itself the
+name of its limit."""
 
 
 def refusal(

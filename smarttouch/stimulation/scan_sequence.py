@@ -68,8 +68,8 @@ class KernelTable:
 
     @classmethod
     def of(cls, weights: Mapping[Afferent, NDArray[np.float64]], shared: Shared) -> "KernelTable":
-        """Quantize the kernels of a bank, (E, E), and those for shared slots, (A, E), with sites
-        (A,)."""
+        """Quantize the kernels of a bank, (E, E) for each class. ``shared`` holds the kernels for
+        shared slots, (A, E), and their sites, (A,)."""
         every = {
             afferent_class: (class_weights, np.arange(len(class_weights)))
             for afferent_class, class_weights in weights.items()
@@ -89,10 +89,7 @@ class KernelTable:
 
     @cached_property
     def so_far_ua(self) -> NDArray[np.float64]:
-        """Cumulative sums of each kernel over electrodes, (K, E) µA, at amplitude 1 (0.25 µA).
-
-        This array needs four times the memory of the weights.
-        """
+        """Cumulative sums of each kernel over electrodes, (K, E) µA, at amplitude 1 (0.25 µA)."""
         # Scaling by a power of two is exact.
         return np.cumsum(self.weights, axis=1, dtype=np.float64) * 2.0**-SHIFT
 
@@ -125,7 +122,8 @@ class KernelLists:
         scaled *= amplitude.astype(np.float64)[:, None]
         if len(scaled) > len(first) - 1:
             scaled = np.add.reduceat(scaled, first[:-1], axis=0)
-        # Truncation rounds down only if sums are positive: add an offset, which int16 drops again.
+        # Conversion to int64 rounds only positive sums down, so add an offset. Conversion to int16
+        # removes the offset, which is a multiple of 2^16.
         scaled += _OFFSET + 0.5
         rounded = scaled.astype(np.int64).astype(np.int16)
         current_ua = rounded.copy()
@@ -138,10 +136,8 @@ class KernelLists:
 
 
 def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
-    """Round currents, (S, E), to integer µA that sum to zero in each slot.
-
-    The rounding error is carried to the next electrode, so that each error is below 1 µA.
-    """
+    """Round currents, (S, E), to integer µA that sum to zero in each slot. The rounding error is
+    carried to the next electrode, so that each error is below 1 µA."""
     carried = np.cumsum(current_ua, axis=1)
     np.rint(carried, out=carried)
     rounded = np.empty(carried.shape, np.int16)
@@ -156,7 +152,7 @@ def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
     carried = np.cumsum(kernels * (PEAK / np.where(peak > 0, peak, 1)), axis=1)
     carried[:, -1:] = 0
     # Round halves upward. Rounding to even would give (-0.5, 1, -0.5) a peak of 32,768, too large
-    # for int16. First remove errors of double precision, which are far below the sixth decimal.
+    # for int16. Rounding to six decimals removes errors of double precision.
     rounded = np.floor(carried.round(6) + 0.5)
     return np.diff(rounded, axis=1, prepend=0).astype(np.int16)
 
@@ -164,8 +160,9 @@ def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
 def kept_kernels(
     weights: NDArray[np.int16], sites: NDArray[np.uint16], room: float, most: int
 ) -> tuple[bytes, int]:
-    """Encode the first kernels, (K, E), and their sites, (K,), for storage on a board: at most
-    ``most`` kernels in ``room`` bytes. Return the bytes and the number of encoded kernels."""
+    """Encode kernels, (K, E), and their sites, (K,), for storage on a board. The last kernels are
+    left out if the board has room for only ``most`` kernels or ``room`` bytes. Return the bytes
+    and the number of encoded kernels."""
     parts, size = [b""], _HEAD.size
     for record in _records(weights[:most], sites):
         if size + len(record) > room:
@@ -195,7 +192,7 @@ def _records(weights: NDArray[np.int16], sites: NDArray[np.uint16]) -> Iterator[
 def largest_amplitude(
     weights: NDArray[np.int16], most_ua: NDArray[np.float64]
 ) -> NDArray[np.uint16]:
-    """Return the largest amplitude at which each kernel, (K, E), keeps the limits, (E,) µA."""
+    """Return the largest amplitude of each kernel, (K, E), that keeps the limits, (E,) µA."""
     limit = np.floor(most_ua) * 2.0**SHIFT
     room = [(limit / np.maximum(np.abs(kernel.astype(np.float64)), 1)).min() for kernel in weights]
     return np.minimum(np.floor(room), 0xFFFF).astype(np.uint16)
@@ -206,7 +203,8 @@ class SelectivityReport:
     """Selectivity of each slot.
 
     For shared slots, values are proved bounds that include rounding. For slots with one point, they
-    are the values of its kernel. All are relative to the slot's weakest target, scaled to level 1.
+    are the values of its kernel. All values are relative to the activation that the slot's weakest
+    target has at level 1 (full activation).
 
     Attributes
     ----------
@@ -338,7 +336,7 @@ class ScanTiming:
     in_index_order: bool = False  # whether the board scans by electrode number
     own_widths: bool = True  # whether each slot may have its own pulse width
     whole_hz: bool = False  # whether the rate must be an integer, Hz
-    load: float = 1.0  # share of the period that a scan may fill
+    load: float = 1.0  # largest share of the period that a scan may fill
 
     def shortest_period_us(
         self,

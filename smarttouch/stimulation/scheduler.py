@@ -43,7 +43,7 @@ from smarttouch.stimulation.slots import FrameSlots, PointSlots, Slots, constant
 WINDOW_US = 1_100_000
 """Time over which plans limit the net charge, µs. The limit is for 1 s, but boards that count in
 tenths of a second can include up to 1.1 s."""
-GUARD_PC = 0.95 * NET_PC  # largest planned net charge of the last N passes, for any N
+GUARD_PC = 0.95 * NET_PC  # largest planned net charge of the latest passes, for any number of them
 _MEAN_PC = PLANNED * NET_PC
 _FREE_PC = NET_PC / 2
 _MOST_PC = 0.99 * NET_PC
@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 SLOWEST = 0.2
 """Share of the full pulse rate at the lightest touch of a hard object. It reduces 50 Hz to 10 Hz,
 the lowest rate in the paper's experiments (Section III-B.2)."""
-_ON_TIME = 0.25  # largest delay, in pulse intervals, with which a class keeps its time grid
+_ON_TIME = 0.25  # largest delay, in pulse intervals; later pulses restart the time grid of a class
 _SLOWEST_HZ = 0.1
 
 
@@ -174,23 +174,25 @@ class _Pass(NamedTuple):
 class NetPlan:
     """Planner of periods that keep the net charge of any second below its limit.
 
-    Net charges of the same sign add up. If they would exceed the limit at the requested rate, the
-    periods become longer as soon as half of the limit is used, so that all passes slow down evenly.
-    After a change of the image, a pass can wait until earlier passes leave the window.
+    The net charges of equal passes add up. If the requested rate would exceed the limit, periods
+    become longer as soon as half of the limit is used, so that all passes slow down evenly. After a
+    change of the image, a pass can wait until earlier passes are older than `WINDOW_US`.
     """
 
     def __init__(self, electrodes: int) -> None:
         self._passes: deque[_Pass] = deque()
         self._sum_pc = np.zeros(electrodes)
-        # Upper bounds of net charge: of all passes in the window, and of the last N passes (any N).
+        # Upper bounds of net charge: `_at_most_pc` for all passes in the last `WINDOW_US`, and
+        # `_newest_at_most_pc` for any number of latest passes.
         self._at_most_pc = self._newest_at_most_pc = 0.0
 
     def next_period_us(
         self, net_pc: Array, time_us: float, period_us: int, busy_us: int
     ) -> float | None:
-        """Plan a pass that begins at `time_us`. Return the shortest period of this pass, which is
-        at least `period_us`. `net_pc`, (E,), is the net charge of the pass, and its slots take
-        `busy_us`. Return None, and plan nothing, if a second would exceed the limit of net charge.
+        """Plan a pass that begins at `time_us`. Return its shortest period, at least `period_us`.
+
+        The slots of the pass take `busy_us` and have the net charge `net_pc`, (E,). If the net
+        charge of a second would exceed its limit, plan nothing and return None.
         """
         passes = self._passes
         while passes and passes[0].end_us <= time_us - WINDOW_US:
@@ -218,11 +220,11 @@ class NetPlan:
                 # Count one more pass, because the window can also include parts of passes.
                 needed_us = max(needed_us, WINDOW_US / 1.1 * mean_pc / (_MEAN_PC - mean_pc))
             if carried_pc + mean_pc < GUARD_PC:
-                # Spread the remaining charge evenly until the first passes leave the window.
+                # Use the rest of the limit evenly until the oldest pass is `WINDOW_US` old.
                 left_us = WINDOW_US - span_us
                 needed_us = max(needed_us, left_us * mean_pc / (GUARD_PC - carried_pc))
         if self._newest_at_most_pc + most_pc > GUARD_PC:
-            # Wait until the window has room for another pass with the same charge.
+            # Wait until the limit allows another pass with the same charge.
             newest = self._newest(net_pc).max(axis=1)
             room = max(0, bisect_right(np.maximum.accumulate(newest).tolist(), GUARD_PC) - 1)
             if room < count:
@@ -231,7 +233,7 @@ class NetPlan:
         return needed_us
 
     def _newest(self, net_pc: Array) -> Array:
-        """Return magnitudes, (N + 1, E). Row n: net charge of this pass and the last n passes."""
+        """Return magnitudes of net charge, (N + 1, E). Row n adds up this and the last n passes."""
         passes = (earlier.net_pc for earlier in reversed(self._passes))
         return np.asarray(np.abs(np.cumsum([net_pc, *passes], axis=0)))
 
@@ -324,9 +326,10 @@ class ScanScheduler:
 
         Extends the requested period if the slots do not fit. At zero intensity there are no slots.
         Intensity is lowered until strength (`strength_ppb`) is at most ``allowed``, in [0, 1]. If
-        all currents then round to zero, larger strengths are tried, up to `MOST_STEP_NS`. The SAI
-        rate follows pressure. If the image has a period, each active class pulses once per period.
-        Raises ScheduleError if the limits forbid this period or a class cannot be stimulated.
+        all currents then round to zero, larger strengths are tried, up to the rise of the ramp in
+        `MOST_STEP_NS`. The SAI rate follows pressure. If the image has a period, each active class
+        pulses once per period. Raises ScheduleError if the limits do not allow the sequence, or if
+        a class cannot be stimulated.
         """
         if image.period_us is None:
             due, self.asked_us = self._rates.due(image.time_ns, pressure)

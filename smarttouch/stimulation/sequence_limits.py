@@ -22,19 +22,18 @@ from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, decimal, ref
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 STRENGTH = 4
-"""Largest ratio of the strength of a sequence to its relative charge (the largest charge of a pulse
-divided by the charge of a full pulse). With the shipped kernels, the faintest gray at full
-intensity has a relative charge of 0.39. For this gray, a ratio of 3 would be sufficient. A ratio of
-4 leaves a margin for sensitive sites."""
+"""Largest ratio of strength to relative charge. The relative charge of a sequence is its largest
+charge of a pulse, divided by the charge of a full pulse. With the shipped kernels, the faintest
+gray needs a ratio below 3. The ratio of 4 leaves a margin for sensitive sites."""
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62
 MOST_RECHARGE_US = 20_000  # longest recharge phase: one period at 50 Hz (our choice)
-MOST_RECHARGE_PC = 2_000_000  # largest recharge of an electrode: 4 strongest pulses (our choice)
+MOST_RECHARGE_PC = 2_000_000  # largest recharge of an electrode: 4 pulses of 0.5 µC (our choice)
 BURST_US = round(1e6 * BURST_S)
 PER_PULSE = 1_000_000
 PER_PC = round(1000 * CEILING_PULSES_HZ / (1e6 * CEILING_MEAN_MA))
-"""Integer weights of one perceptible pulse and of 1 pC. With these weights, the sum of pulses and
-the sum of charge have the same limit, `MOST_PER_US` in each microsecond."""
+"""Weights of one perceptible pulse (`PER_PULSE`) and of 1 pC (`PER_PC`), integers. The weighted
+number of pulses and the weighted charge have the same limit, `MOST_PER_US` per microsecond."""
 MOST_PER_US = round(CEILING_PULSES_HZ)
 NET_PC = round(1e9 * CEILING_NET_MA)  # largest net charge of an electrode in a second
 PLANNED = 0.9  # share of a limit that schedulers use; the rest is a margin for jitter
@@ -44,17 +43,16 @@ _LAST_NS = WINDOW_NS - 1
 
 Charge = NDArray[np.float64]  # (E,) signed pC: integers below 2^53
 Sums = NDArray[np.float64]
-"""Three sums for each electrode, (3, E): perceptible pulses × `PER_PULSE`, pC × `PER_PC`, and the
-net pC, positive cathodic. The integers are far below 2^53, so double precision is exact."""
+"""Sums for each electrode, (3, E). Row 0: number of perceptible pulses × `PER_PULSE`. Row 1:
+charge, pC, × `PER_PC`. Row 2: net charge, pC, positive cathodic. The sums are integers far below
+2^53, so double precision is exact."""
 
 
 def add_up(
     current_ua: NDArray[np.int16], width_us: NDArray[np.uint16], felt_ua: NDArray[np.float32]
 ) -> tuple[Sums, NDArray[np.float64], NDArray[np.float64]]:
-    """Return the `Sums` of the slots, ``current_ua`` as float64, (S, E), and its magnitude, (S, E).
-
-    There must be a slot. Pulses of ``felt_ua``, (E,), or more count as perceptible.
-    """
+    """Return the `Sums` of all slots, the currents as float64, (S, E), and their magnitudes.
+    There must be a slot. Pulses of ``felt_ua``, (E,), or more count as perceptible."""
     currents, widths = current_ua.astype(np.float64), width_us.astype(np.float64)
     magnitudes = np.abs(currents)
     felt = PER_PULSE * np.add.reduce(magnitudes >= felt_ua, axis=0)
@@ -78,17 +76,15 @@ class PassLoad(NamedTuple):
     """Load of one pass of a sequence on each electrode."""
 
     sums: Sums  # including the recharge phase
-    recharge_pc: NDArray[np.float64] | None  # (E,) charge of the phase, positive cathodic
+    recharge_pc: NDArray[np.float64] | None  # (E,) charge of the recharge phase, cathodic > 0
     busy_us: int  # duration of slots and recharge phase
     strength_ppb: int  # see `strength_ppb`; 0 without current
     peak_ua: int  # strongest current
 
 
 def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> PassLoad:
-    """Check a frozen sequence of intensity ``ppb``, and return its load on each electrode.
-
-    Raises SafetyError with the limit, slot, electrode and values.
-    """
+    """Check a frozen sequence of intensity ``ppb``, and return its load on each electrode. Raises
+    SafetyError with the limit, slot, electrode and values."""
     width_us, (busy_us, narrow_us, wide_us) = sequence.width_us, _prove_numbers(sequence, limits)
     if not busy_us:
         return PassLoad(np.zeros((3, limits.electrodes)), None, 0, 0, 0)
@@ -129,9 +125,7 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
 
 def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int, int]:
     """Return the duration of slots and recharge phase, and the shortest and longest pulse, µs.
-
-    Raises SafetyError unless numbers, times and lengths are within their ranges.
-    """
+    Raises SafetyError unless numbers, times and lengths are within their ranges."""
     electrodes, period_us, recharge_us = limits.electrodes, sequence.period_us, sequence.recharge_us
     if sequence.recharge_ua is not None or recharge_us:
         _prove_recharge(sequence, limits)
@@ -238,7 +232,7 @@ class _Pass(NamedTuple):
     start_ns: int
     end_ns: int
     sums: Sums
-    most: float  # upper bound of the net charge of any electrode (× `PER_PC`)
+    most: float  # largest of `sums[:2]`, an upper bound of each net charge × `PER_PC`
 
 
 class _Sent(NamedTuple):
@@ -250,8 +244,8 @@ class _Sent(NamedTuple):
     flows: bool
 
     def cut_short(self, now_ns: int) -> tuple[int, list[_Pass], int]:
-        """Return the effect of a new sequence at ``now_ns``: when the new sequence can start, which
-        repetitions began recently, and how many repetitions the board drops."""
+        """Return the start of a new sequence that is sent at ``now_ns``, the recent repetitions of
+        this sequence, and the number of its repetitions that the board drops."""
         # The board delivers the first pass even if it has not begun at `now_ns`.
         first, period_ns = self.first, self.period_ns
         begun = max(1, min(self.times, (now_ns - first.start_ns) // period_ns + 1))
@@ -308,18 +302,19 @@ class Exposure:
         self._session_ns = 0
 
     def forget_second(self) -> None:
-        """Forget the passes of the last second because time restarts; the session continues."""
+        """Forget the last second's passes, because times restart at 0. Keep the session's dose."""
         self._last = None
         self._window.clear()
-        # Upper bounds: of the sums of the last second, and of the net charge (× `PER_PC`) of the
-        # last N passes, for any N. Exact sums are computed only if a bound exceeds its limit.
+        # Upper bounds: `_second_at_most` for the sums of the last second, and `_net_at_most` for
+        # the net charge (× `PER_PC`) of any number of latest passes. Exact sums are computed only
+        # if a bound exceeds its limit.
         self._second_at_most = self._net_at_most = 0.0
 
     def net_rest_ns(self, now_ns: int) -> int:
-        """Return the time, ns, until half of the limit of net charge is free again.
+        """Return the time, ns, until earlier passes use at most half of the net charge limit.
 
-        A new session plans without the pulses of the old session. If less than half of the limit
-        were free, the gate could reject the planned sequences.
+        A new session plans without the pulses of the old session. If those pulses used more than
+        half of the limit, the gate could reject the planned sequences.
         """
         recent = [scan for scan in reversed(self._window) if scan.end_ns > now_ns - WINDOW_NS]
         if not recent or self._second_at_most <= PER_PC * NET_PC / 2:
@@ -370,7 +365,6 @@ class Exposure:
             at = int(session[1].argmax())
             charge_mc = session[1, at] / (PER_PC * 1e9)
             raise refusal("session_mc", charge_mc, self._limits.session_mc, electrode=at)
-        # The sequence is accepted.
         self._net_at_most = net_at_most
         for scan in (*repeated, first):
             window.append(scan)
@@ -384,9 +378,12 @@ class Exposure:
     def _check_second(
         self, now_ns: int, first: _Pass, checked: int, period_ns: int, repeated: list[_Pass]
     ) -> float:
-        """Raise SafetyError if any second would exceed a limit. Count ``checked`` new passes, one
-        period apart, the ``repeated`` passes of the previous sequence, and older passes. Return an
-        upper bound of the net charge (× `PER_PC`) of the last N old passes, for any N."""
+        """Raise SafetyError if any second would exceed a limit.
+
+        Count older passes, the ``repeated`` passes of the previous sequence, and ``checked`` passes
+        of the new sequence, one period apart. Return an upper bound of the net charge (× `PER_PC`)
+        of the latest passes before the new sequence, however many are added up.
+        """
         recent = [scan for scan in (*self._window, *repeated) if scan.end_ns > now_ns - WINDOW_NS]
         passes = sum(scan.start_ns > now_ns - WINDOW_NS for scan in recent) + 1
         if passes > self._most_passes:

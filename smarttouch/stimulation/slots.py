@@ -71,7 +71,7 @@ class FrameSlots:
             _coarse(profile), afferent, full_wish(profile, kernels, bank.receptor[afferent])
         )
         frames, count = profile.frames, len(kernels)
-        # Request slightly less activation than at level 1, to save current.
+        # Shared slots aim at slightly less activation than requested, to save current.
         self._aim = 1 - AIM * frames.uneven
         faintest = profile.threshold_ma / profile.full_ma
         sets = proved_sets(
@@ -128,7 +128,8 @@ class FrameSlots:
         asked = activation if intensity > 0 else 0 * activation
         if self._perceived_at is not None:
             asked = np.append(asked, np.float32(0))[self._perceived_at]
-        # Compensate the factor `_aim` of shared slots below, so that faint points are still felt.
+        # Currents of shared slots are multiplied by `_aim` below. Divide levels by `_aim` here, so
+        # that faint points are still felt.
         level = (self._range * asked + self._faintest) * (asked > 0) / self._aim
         level = np.minimum(level, 1.0, out=level)
         kernel, points = self._shared(level) if intensity >= self.certain_from else (_NONE, [])
@@ -157,7 +158,8 @@ class FrameSlots:
         do = np.empty((2, count), np.float32)
         owner = self._owner.take(kernel.take(first[:shared]))
         do[:, :shared] = self._figures(intensity).take(owner, axis=1)
-        # Reports are relative to level 1, so multiply the values of single points by their level.
+        # Reported values are relative to a target at level 1. A single point stimulates all nerves
+        # in proportion to its level.
         np.multiply(self._points_do.take(alone, axis=1), alone_level, out=do[:, shared:])
         site = self._kernel_sites.take(kernel.take(first[:-1])).astype(np.uint16)
         proof = SelectivityReport(np.array(points, np.uint16), *do)
@@ -225,7 +227,7 @@ class PointSlots:
             raise ScheduleError(
                 f"the kernel of electrode {site} has a total current of {total_ma[site]:.2f} mA at "
                 f"full strength, above the limit of {profile.total_ma:g} mA for a slot: lower "
-                "perception.comfort_ratio, or design kernels within a lower limits.total_ma",
+                "perception.comfort_ratio, or lower limits.total_ma and design new kernels",
                 electrode=site,
             )
         self._strongest = np.abs(weights).argmax(axis=1)
@@ -245,7 +247,7 @@ class PointSlots:
             self._full = np.asarray(PER_UA * magnitude.max(axis=1), np.float32)
         self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
         self._range = 1 - self._faintest
-        # smallest level of each site; with one source, no current may round to zero
+        # Smallest level at which a site gets a slot. With one source, no current may round to zero.
         self._weakest_level = np.zeros(count, np.float32)
         if profile.output.kind != "weighted":
             least_ua = np.where(magnitude > 0, magnitude, np.inf).min(axis=1)
@@ -315,10 +317,8 @@ class PointSlots:
 
 @lru_cache(maxsize=4096)
 def spread_order(count: int) -> NDArray[np.intp]:
-    """Return an order of ``count`` points in which successive points are far apart.
-
-    The order steps through the list by a stride of about the golden section of its length.
-    """
+    """Return an order of ``count`` points in which successive points are far apart. The stride
+    is about 0.38 times ``count`` (golden section)."""
     stride = round(count * 0.382)
     while stride > 1 and math.gcd(stride, count) > 1:
         stride += 1
@@ -326,8 +326,9 @@ def spread_order(count: int) -> NDArray[np.intp]:
 
 
 def perceived_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | None:
-    """Return the electrode at which each point of a class is perceived, (E,), or E outside of the
-    array. Return None if the profile does not shift the class (paper, Section III-B.4)."""
+    """Return the electrode at which each point of a class is perceived, (E,). The value is E if a
+    point is perceived outside of the array. Return None if the profile does not shift the class
+    (paper, Section III-B.4)."""
     shifts = profile.perception
     shift_mm = (shifts.ra_shift_mm, shifts.sai_shift_mm, shifts.pc_shift_mm)[afferent]
     if not any(shift_mm):
@@ -342,7 +343,7 @@ def perceived_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | Non
 
 
 def constant_us(count: int, time_us: int) -> NDArray[np.uint16]:
-    """Return a read-only array of ``count`` equal times, µs; sequences use slices of it."""
+    """Return a read-only array of ``count`` equal times, µs, for use by many sequences."""
     times = np.full(count, time_us, np.uint16)
     times.setflags(write=False)
     return times
