@@ -80,7 +80,8 @@ def assert_same_pulses(
 
 class AtLine:
     """Context manager that starts an action in a new thread when a driver executes a line.
-    ``number`` counts the executed lines of the driver's package from 0, except those of `Board`."""
+    ``number`` is the index of this line among all executed lines of the driver's package; lines of
+    `Board` are not counted."""
 
     thread: threading.Thread | None
 
@@ -116,8 +117,7 @@ class AtLine:
 
 
 def _package(module: str) -> str:
-    """Return the package of a module; within SmartTouch, a direct subpackage, such as
-    ``smarttouch.boards``."""
+    """Return the package of a module, in SmartTouch a subpackage such as ``smarttouch.boards``."""
     if module.startswith("smarttouch."):
         return ".".join(module.split(".")[:2])
     return module.rpartition(".")[0] or module
@@ -176,7 +176,7 @@ class DriverContract:
 
     def board(self, driver: Driver, limits: SafetyLimits) -> Board:
         """Return the board of a driver. Override this method for another output or clock."""
-        # Without a finger, the limit of the user's total current does not apply.
+        # Without a finger, the board does not count toward the limit of the user's total current.
         return Board(driver, limits, late_ns=LATE_NS, on_a_finger=False)
 
     def received(self) -> bytes:
@@ -198,11 +198,11 @@ class DriverContract:
         return self.decode(self.received())
 
     def assert_silent(self) -> None:
-        """Fail unless the last command to the device sets zero and no command follows."""
+        """Fail unless the last command sets all electrodes to zero and no command follows."""
         before = self.pulses()
-        assert before[-1] == ZERO, "the last command to the device is not zero"
+        assert before[-1] == ZERO, "the last command does not set all electrodes to zero"
         time.sleep(2e-6 * self.period_us)
-        assert self.pulses() == before, "the device received a command after zero"
+        assert self.pulses() == before, "the device received a command after it was set to zero"
 
     @pytest.fixture
     def limits(self) -> SafetyLimits:
@@ -275,8 +275,8 @@ class DriverContract:
         assert self.calls.write.call_count == 5
 
     def test_what_the_device_is_sent_is_what_was_proved(self, new_board: NewBoard) -> None:
-        """Compare sent pulses with sequences. These use each electrode as a site, slots of two
-        electrodes, a recharge phase, and repetitions."""
+        """Compare the sent pulses with the proved sequences. The sequences use all electrodes as
+        sites, slots of two electrodes, a recharge phase, and repetitions."""
         every, sent = list(range(self.electrodes)), [(self.sequence(0), 1)]
         with new_board() as board:
             can = board.capabilities

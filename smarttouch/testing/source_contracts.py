@@ -63,7 +63,7 @@ class SourceContract(_Opened):
             yield source
 
     def read(self, source: Source) -> list[Input]:
-        """Read until the source ends, at most `READS` times. Fail if a read changes old inputs."""
+        """Read until the source ends, or `READS` times. Fail if a read changes earlier inputs."""
         inputs: list[Input] = []
         copies: list[NDArray[Any]] = []
         time_ns = 0
