@@ -80,7 +80,7 @@ class ArrayPicture:
 
 
 def _sign(part: float, spread: int) -> tuple[str, str]:
-    """Return text and style of an electrode's current; ``part`` < 0 means no electrode."""
+    """Return text and style for a current from 0 to 1; a negative value means no electrode."""
     if part <= 0:
         return ("·" if part == 0 else " ").ljust(spread), "grey42"
     glow = round(90 + 165 * part)

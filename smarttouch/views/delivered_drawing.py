@@ -37,8 +37,8 @@ Place = tuple[float, float]
 Places = NDArray[np.floating]
 Ink = int | tuple[int, int, int]
 Under = tuple[str, Place, Place, Callable[[tuple[int, int], float], Grey] | None]
-"""Title of a picture; corner (top left) and size of the touched area, mm; and, if known, a function
-that draws what lay in the area. Its arguments are a shape in pixels and a pixel size in mm."""
+"""Title of a picture; top left corner and size of the touched area, mm; and a function that draws
+what lay in the area, or None. The function takes a shape in pixels and a pixel size in mm."""
 
 
 _DARK_QUANTILE = 0.999
@@ -48,9 +48,9 @@ _SIDE_MM = 0.5  # spacing of skin points that mark where the finger has been
 class SpikeMap:
     """Picture of spikes: each spike at its receptor, in the color of its class, on white.
 
-    ``placed`` maps points of a finger at a pose to points of the picture, (N, 2) mm from the
+    ``placed`` converts points on a finger at a pose to points on the picture, (N, 2) mm from the
     picture's corner. ``field_mm`` is the standard deviation of a receptive field. With ``mean``,
-    spikes are divided by the number of poses at which the finger covered the place.
+    the spikes at each point are divided by the number of poses in which the finger covered it.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class SpikeMap:
     def _pixels(
         self, places_mm: Places, pose: Pose
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-        """Return pixel rows and columns of the points on the picture, and a mask of the points."""
+        """Return rows and columns of the points on the picture, and the mask of these points."""
         shape = self._passes.shape
         column, row = np.floor(self._placed(places_mm, pose) / self._pixel_mm).astype(np.intp).T
         on = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
@@ -123,7 +123,7 @@ class DeliveredDrawing(ABC):
     ) -> None:
         self.poses: dict[int, Pose] = {}  # by sequence number, if intensity was above zero
         self._period_us: dict[int, int] = {}
-        self.answers: dict[int, Floats] = {}  # responses, (E,) in [0, 1], by sequence number
+        self.answers: dict[int, Floats] = {}  # by sequence number: (E,) responses from 0 to 1
         self._respond = partial(bank.responses, profile, afferents)
         self._magnification = magnification
         self._position_mm = profile.electrodes.position_mm / magnification
@@ -134,7 +134,7 @@ class DeliveredDrawing(ABC):
 
     @abstractmethod
     def under(self) -> Under:
-        """Return the picture of the touched area. Raises SmartTouchError if nothing was touched."""
+        """Describe the touched area. Raises SmartTouchError if nothing was touched."""
 
     def watch(self, sent: StepResult) -> None:
         """Record the pose and the period of a step that was sent with current."""
@@ -301,7 +301,7 @@ class PageDrawing(DeliveredDrawing):
             self._sheets[sheet.number] = sheet
 
     def under(self) -> Under:
-        """Return all pages and lines or, if there are none, the area touched by the electrodes."""
+        """Describe the area of all pages and lines, or else the area that electrodes touched."""
         if not (self._sheets or self.poses):
             raise SmartTouchError("nothing to draw, as no pulse was delivered: raise the intensity")
         places_mm = [self.places_mm(pose) for pose in self.poses.values()]
@@ -348,7 +348,7 @@ class DeliveredPicture(Listener):
         self._driver: SimulatedDriver | None = None
 
     def prepare(self, run: RunContext) -> None:
-        """Check the file name and the board, and choose the picture of the source."""
+        """Check the file name and the board. A source without a drawing gets a `PageDrawing`."""
         if self.path.suffix.lower() not in ("", ".png"):
             raise SmartTouchError(f"cannot draw {self.path}: name it *.png")
         load_anatomy(self._anatomy)

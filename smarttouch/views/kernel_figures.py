@@ -83,8 +83,8 @@ def _reach_mm(profile: Profile) -> Array:
 
 
 def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
-    """Return, for each class, the AF at places, (..., 2), from 1 mA through each electrode. The
-    shape is (D, ..., E) for D directions of the nerve fiber and E electrodes."""
+    """Return for each class the AF, (D, ..., E), that 1 mA through each of E electrodes causes at
+    ``places``, (..., 2), along each of D directions of the nerve fiber."""
     skin = profile.skin
     per_ma = {}
     for shown in Afferent:
@@ -97,7 +97,7 @@ def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
 
 
 def _activation(per_ma: Array, kernel: Kernel) -> Array:
-    """Return a kernel's largest AF over all fiber directions, at each place of ``per_ma``."""
+    """Return a kernel's AF at each place, in the fiber direction with the largest AF."""
     return np.asarray((per_ma @ kernel.weights).max(axis=0))
 
 

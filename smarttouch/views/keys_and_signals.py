@@ -17,7 +17,7 @@ from smarttouch.boards.shutdown import current_command, running_command
 
 LOST = ""  # key that reports a closed terminal
 JOIN_S = 0.3  # longest wait at the end for a key that is being handled
-_TURN_S = 0.05  # longest delay before drawing
+_TURN_S = 0.05  # longest wait for keys or for the terminal between two drawings
 _before: list[list[Any]] = []  # the terminal's original settings; empty if unchanged
 
 
@@ -32,8 +32,8 @@ def restore() -> None:
 class Output:
     """Standard stream that buffers output which the terminal does not accept yet.
 
-    A `Terminal` sends the buffer in non-blocking writes. On systems without them, or if the stream
-    is not a file, output is written at once.
+    A `Terminal` sends the buffer in non-blocking writes. If the stream is not a file, or the
+    system has no such writes, output is not buffered.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -198,7 +198,7 @@ _CURSOR_ON = b"\x1b[?25h"
 
 
 def drives_a_board(command: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Let signals and ``smarttouch stop`` end a command (decorator)."""
+    """Decorate a command, so that signals and ``smarttouch stop`` can end the command."""
 
     @functools.wraps(command)
     def stoppable(*arguments: _P.args, **options: _P.kwargs) -> _T:
@@ -224,8 +224,8 @@ def by_signal() -> bool:
 
 @contextmanager
 def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
-    """Let the block finish by itself after a stop request or signal. After a signal,
-    the block has ``patience_s``. Outside the block, a signal raises RunStopped."""
+    """Run the block so that signals do not interrupt it. After a signal, the block must end by
+    itself within ``patience_s``. Outside such a block, a signal raises RunStopped."""
     command = current_command()
     command.patience_s = patience_s or command.patience_s
     before, command.orderly = command.orderly, True

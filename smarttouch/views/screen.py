@@ -93,7 +93,7 @@ class Screen(Listener):
         return ArrayPicture(self._profile)
 
     def start(self, run: RunContext) -> None:
-        """In plain mode, print the title, the keys and all earlier lines."""
+        """In plain mode, print the title, the keys, and the events before the start."""
         if self._plain:
             self._title = run.source.title
             self._print(f"{self._title}, {run.profile.title}, {self._url}")
@@ -152,8 +152,8 @@ class Screen(Listener):
             raise failure
 
     def _draw(self) -> None:
-        """Run queued actions, and redraw after changes: less often if drawing is slow, and only
-        when the terminal has accepted all earlier output."""
+        """Run queued actions, and redraw after changes. Redraw only when the terminal has accepted
+        all earlier output. After a slow redraw, pause longer."""
         began_s, live = time.monotonic(), self._live
         try:
             with suppress(Empty):
@@ -276,7 +276,7 @@ class Screen(Listener):
         wrote = [f"wrote {path}" for path in files]
         account = self._source.account if self._plain else ""
         if account:
-            # The source's account does not mention interruptions of the stimulus.
+            # The source's own summary (``account``) does not count restarts at zero intensity.
             if again := figures["restarts"] + figures["dropped_late"]:
                 notes = [*notes, f"intensity restarted at zero {again} times"]
             more = "; ".join([*notes, *wrote]) or "No warning; nothing was recorded."

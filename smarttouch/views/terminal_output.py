@@ -37,7 +37,7 @@ def _visible(match: re.Match[str]) -> str:
 
 
 def write_failure(error: OSError, name: str) -> Exception:
-    """Return BrokenPipeError unchanged; return a SmartTouchError for any other failed write."""
+    """Return the error to raise after a failed write; a BrokenPipeError stays unchanged."""
     if isinstance(error, BrokenPipeError):
         return error
     return SmartTouchError(f"cannot write to {name}: {error.strerror}")
@@ -47,7 +47,7 @@ class PlainStream:
     """Standard stream whose failures become a SmartTouchError.
 
     If ``name`` is empty, failures are ignored. With ``plain``, control characters are replaced, and
-    `isatty` is false, because only a `console` may draw.
+    `isatty` returns False to prevent drawing. A `console` draws on the `direct` stream.
     """
 
     def __init__(self, stream: TextIO, name: str, plain: bool = True) -> None:
@@ -97,7 +97,7 @@ def draws(shown: "Console | None" = None) -> bool:
 
 
 _WIDEST = 200
-_LONGEST_NAME = 40  # a first column with a text longer than this is wrapped
+_LONGEST_NAME = 40  # longest text, in characters, of a first column that is not wrapped
 
 
 def print_table(

@@ -65,9 +65,9 @@ def run_in_terminal(
     draws: bool = False,
 ) -> None:
     """Run a source on a display until the source or the user ends the run; print a summary.
-    Arguments are as for `Runner`. ``keys`` maps more keys to functions, ``keys_help`` describes
-    them. ``json_file`` receives the figures of the run; ``files`` are all files that the run
-    writes. With ``draws``, a run may draw pictures after a signal. A window stays until closed."""
+    Arguments are as for `Runner`. ``keys`` maps additional keys to functions, and ``keys_help``
+    describes these keys. ``json_file`` receives the figures of the run. The summary lists
+    ``files``. With ``draws``, the run has time to finish pictures after a signal."""
     stop, typed = command_stop(), sys.stdin.isatty()
     asks = display.on_a_finger and (typed or window) and (screen, controls) == (Screen, Controls)
     operation = _Operation(draws, asks)
@@ -88,7 +88,7 @@ def run_in_terminal(
             config,
             force=force,
             listeners=[
-                *([] if page is None else [page]),  # first, to print the page's address first
+                *([] if page is None else [page]),  # before others, to print the address first
                 shown,
                 *listeners,
                 operation,
@@ -112,8 +112,8 @@ def run_in_terminal(
 def _operated(
     display: Display, config: RunConfig, controls: MakeControls, steered: bool
 ) -> tuple[RunConfig, MakeControls]:
-    """Return settings and controls of a run. On a finger, the intensity of ``config`` becomes the
-    maximum, and a run that is ``steered`` by a person starts at zero."""
+    """Return settings and controls of a run. On a finger, the intensity of ``config`` is the
+    maximum, and the run starts at zero if a person steers it (``steered``)."""
     if not display.on_a_finger:
         return config, controls
 
@@ -168,7 +168,7 @@ class _Operation(Listener):
             self._run.source.emit(Advice(at_ns, words))
 
     def _rise(self) -> None:
-        """Set the mode's last comfortable level. The ramp limits how fast intensity rises."""
+        """Set intensity to the last comfortable level of the mode. The ramp limits the rise."""
         # The key may be pressed before the run is prepared.
         if self._levels is not None:
             controls, state = self._run.controls, self._run.controls.state(0)

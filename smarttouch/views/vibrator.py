@@ -43,7 +43,7 @@ class Vibrator(Listener):
         self._output = _SoundCard() if self._target == "sound:" else _WavFile(Path(self._target))
 
     def step(self, result: StepResult) -> None:
-        """Play the vibration of a sequence, unless the sequence was not sent."""
+        """Play the vibration of a sequence that was sent."""
         sequence = result.sequence
         if self._output is not None and result.number is not None:
             amplitude = 0.0 if sequence.vibration is None else float(sequence.vibration.max())
@@ -97,7 +97,7 @@ class _WavFile(_Carrier):
 
 class _SoundCard(_Carrier):
     def __init__(self) -> None:
-        self._asked = 0.0, 0.0  # amplitude, and time when it ends, s; for the sound thread
+        self._asked = 0.0, 0.0  # amplitude, and time of its end, s; the sound thread reads both
         try:
             from sounddevice import OutputStream
 

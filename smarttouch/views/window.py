@@ -92,7 +92,7 @@ class Window(Listener):
         return self._context.source
 
     def prepare(self, run: RunContext) -> None:
-        """Serve the page, and wait until a browser opens it: the board is opened afterwards."""
+        """Serve the page, and wait until a browser opens it. The run then opens the board."""
         self._context = run
         self.steering = Steering(
             run.controls, self._run_stop, self._keys, alone=self._alone, lost_s=self._lost_s
@@ -142,7 +142,7 @@ class Window(Listener):
             self._events.append((self._event_count, entry))
 
     def close(self) -> None:
-        """Send the end of the run to the pages, and stop serving unless the window ``stays``."""
+        """Send the end of the run to the pages. Without ``stays``, also stop serving."""
         if not self.ended:
             reason, failed = self._end
             self.ended = json.dumps({"type": "ended", "reason": reason, "failed": failed})

@@ -122,7 +122,7 @@ class ConnectedPage:
 
     number: int
     waits: bool = True  # whether the page has drawn the last message and waits for the next
-    ended: str = ""  # last message of the run, once the page has received it
+    ended: str = ""  # last message of the run; empty until the page receives it
     shown: StepResult | None = None
     events: int = 0
     sheet: int | None = None  # number of the sheet (page or line of print) on display
@@ -279,7 +279,7 @@ class Pages:
     async def _act(self, page: ConnectedPage, what: str) -> None:
         steering = self._state.steering
         if what.startswith("key:"):
-            # Act in a thread: while a key waits for the source, pages must be able to stop the run.
+            # Use a thread: a key may wait for the source, and pages must be able to stop the run.
             await asyncio.to_thread(steering.act, page.number, what)
         elif not steering.act(page.number, what) and what in _AT_ZERO:
             # A page without control cannot set the current to zero: end the run instead.

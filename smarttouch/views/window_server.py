@@ -50,8 +50,8 @@ _HEADERS = {
 
 
 class PageServer:
-    """Web server for the page's files and for ``routes``, whose paths follow the secret in the
-    address. It refuses requests for another host, from another origin or without the secret."""
+    """Web server for the page's files and for ``routes``. All paths begin with a secret. The server
+    refuses requests for another host, from another origin or without the secret."""
 
     def __init__(self, routes: "Sequence[BaseRoute]") -> None:
         server = import_server()
@@ -89,7 +89,7 @@ class PageServer:
             self._thread.join(_JOIN_S)
         self._socket.close()
 
-    # At a lower priority this thread could hold the interpreter lock and delay the run loop.
+    # Without priority, this thread could be paused while it holds the lock of the interpreter.
     @prioritized()
     def _serve(self) -> None:
         self._server.run([self._socket])
@@ -112,7 +112,7 @@ class PageServer:
 
     def _allows(self, scope: Any, headers: dict[str, bytes]) -> bool:
         origin = headers.get("origin", b"").decode("latin-1")
-        # A link may open the page, but requests that act must come from the page itself.
+        # A link may open the page. Requests that change the run must come from the page itself.
         acts = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
         ours = origin in {f"http://{host}" for host in self._hosts} or not (origin or acts)
         path = scope["path"][: len(self._prefix)].encode()
@@ -155,7 +155,7 @@ def open_browser(address: str) -> None:
     def show() -> None:
         with contextlib.suppress(webbrowser.Error, OSError, SmartTouchError):
             folder = Path(tempfile.mkdtemp(prefix="smarttouch-"))
-            # The program may end before this thread does.
+            # Delete the file even if the program ends before this thread.
             atexit.register(shutil.rmtree, folder, ignore_errors=True)
             page = folder / "window.html"
             write_bytes(page, _LEADS_TO.format(html.escape(address)).encode())
