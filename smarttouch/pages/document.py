@@ -174,7 +174,7 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
 
 
 _STAMP = 100  # number of rotated characters above which the page is rotated; fewer are a stamp
-_LEVEL = 10.0  # text at a larger angle to horizontal and vertical, degrees, is slanted
+_LEVEL = 10.0  # angle to the horizontal or vertical, degrees, above which text is slanted
 _FINE = 1000.0  # integer coordinates are requested from PDFium in 1/1000 point
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
 _SPACES = _NONE, _MOVED, _MADE, _TYPED = ("", "\n", "\t", " ")
@@ -222,7 +222,7 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
 _ABOVE, _AROUND = 0.95, 0.3  # extent of a letter above and below the baseline, in letter sizes
 _FAINT = 12  # contrast, gray levels, below which print is invisible
 _MOST_UNKNOWN = 0.05  # largest share of undefined characters in a text
-_MOSTLY = 0.5  # largest length of lines that the text lacks, relative to the lines of the text
+_MOSTLY = 0.5  # largest length of print that the file's text lacks, relative to the text's lines
 _ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
 _BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # a bullet in a symbol font
 
@@ -263,12 +263,12 @@ _SMALLER = 0.95  # largest size of a superscript or subscript, relative to the t
 _SHIFTED = (0.1, 0.8)  # range of distances of sub- and superscripts from the baseline, letter sizes
 _NEAR = 0.55  # largest gap between a sub- or superscript and the word, in letter sizes
 _INITIAL = 1.8  # smallest size of a drop cap relative to the text
-_TOUCHING = 0.3  # smallest gap at a line break of the file that is a space, in letter sizes
-_FARTHEST = 2.5  # largest gap at a space within a segment, in letter sizes
+_TOUCHING = 0.3  # at a line break in the file, smallest gap that means a space, in letter sizes
+_FARTHEST = 2.5  # largest space within a segment, in letter sizes
 _SPACED = 0.8  # largest letter spacing, in letter sizes
 _WIDER = 1.5  # smallest gap between letter-spaced words, relative to the letter spacing
 _EVEN = 0.25  # largest difference between the spaces of a justified line, in letter sizes
-_EACH = 0.4  # largest space in a justified line, in letter sizes, divided by the number of words
+_EACH = 0.4  # largest space in a justified line, in letter sizes: this times the number of words
 
 
 def _segments(signs: list[Segment]) -> list[Segment]:
@@ -285,8 +285,8 @@ def _segments(signs: list[Segment]) -> list[Segment]:
 
 
 def _spacing(line: list[Segment]) -> tuple[float, float]:
-    """Return the letter spacing and the widest gap within a segment, in letter sizes. Both are 0
-    unless the line is letter-spaced or justified."""
+    """Return the letter spacing of a line and the widest gap that does not end a segment, in letter
+    sizes. Both are 0 in usual lines, which are neither letter-spaced nor justified."""
     gaps = [sign.gap(last) for last, sign in itertools.pairwise(line)]
     spaces = [gap for gap, sign in zip(gaps, line[1:], strict=True) if sign.space == _MADE]
     tracking = statistics.median(gaps) if len(gaps) > 2 else 0.0

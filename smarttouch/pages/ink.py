@@ -11,11 +11,12 @@ Grey = NDArray[np.uint8]
 
 _WINDOW_PX = 41  # width of dark spots that are removed to find the paper; strokes are narrower
 _PAPER = 210.0  # gray level to which paper is normalized; bright grains have higher levels
-_CONTRAST, _PALE = 0.12, 0.2  # smallest contrast of ink, and of pale print, relative to paper
-_GRAINS, _FEWEST = 6.0, 2e-4
-"""Smallest contrast of ink, in standard deviations of paper grain; smallest share of ink pixels."""
-_CALM = 5.0  # largest grain of paper, gray levels, at which the threshold follows nearby ink
-_GRAINY = 9.0  # grain, gray levels, from which the threshold does not follow nearby ink
+_CONTRAST = 0.12  # smallest contrast of ink, relative to paper
+_PALE = 0.2  # smallest contrast of pale print on a digital page, relative to paper
+_GRAINS = 6.0  # smallest contrast of ink, in standard deviations of the paper's grain
+_FEWEST = 2e-4  # smallest share of ink pixels on a page that is not blank
+_CALM = 5.0  # largest grain of paper, gray levels, at which the threshold is fully local
+_GRAINY = 9.0  # smallest grain of paper, gray levels, at which a page has a single threshold
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +32,8 @@ class Paper:
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     """Separate ink from paper in an image, (H, W) uint8; by default, detect light print on dark.
 
-    The threshold is near the mean of paper and ink. On paper with little grain, the mean is local.
-    Pale print beside black print counts as ink only on digital pages, which have no grain.
+    The threshold is near the mean of paper and ink. This is a local mean or, on grainy paper, the
+    mean of the page. Pale print beside black print counts as ink only on digital pages (no grain).
     """
     light_on_dark = is_light_on_dark(grey) if light_on_dark is None else light_on_dark
     grey = ~grey if light_on_dark else grey
@@ -82,7 +83,7 @@ def _find_paper(small: Grey, side: float) -> Grey:
     """Estimate the gray level of the paper under the ink, (h, w); 0 where there is no paper."""
     near = _closed(small, side)
     far = cv2.resize(_closed(near[::4, ::4], 5 * side / 4), near.shape[::-1])
-    # A dark area wider than ``side`` is large print, unless the area reaches the page's edge.
+    # A dark area wider than ``side`` is large print or, at the page's edge, background.
     count, labels = cv2.connectedComponents((near < 0.4 * far).view(np.uint8))
     at_edge = np.arange(count) < 1
     for side_labels in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):

@@ -17,7 +17,7 @@ Indices = NDArray[np.int_]
 
 _LEAST_SIDE = 3  # smallest height of a letter, px
 _LARGEST_PART = 0.25  # largest height of a letter, relative to the page's shorter side
-_DOT = 0.7  # share of ink in its box from which a component is a dot
+_DOT = 0.7  # smallest share of ink in the box of a dot
 _RULE = 12.0  # ratio of length to thickness above which a component is a rule
 _LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the typical height
 _COMMA = (0.8, 0.5)  # largest height and width of a comma or quote, in typical heights
@@ -25,7 +25,7 @@ _LONGEST = 40.0  # largest ratio of length to height of a word with touching let
 _UNDERLINE, _THIN = 3.0, 0.3  # underline: smallest length, largest thickness, in letter heights
 _TWO_LINES = 1.7  # smallest height of a component that may span two lines, in letter heights
 _LEAST_LINE = 0.6  # smallest height of a line in a component of two lines, in letter heights
-_VALLEY = 0.25  # largest ink in a pixel row between two lines, relative to the lines' fullest rows
+_VALLEY = 0.25  # largest ink in a pixel row between two lines, relative to their fullest pixel rows
 
 
 def weighted_median(values: Indices | Floats, weight: Floats) -> float:
@@ -140,10 +140,10 @@ _LEAST_SPACE = 0.35  # narrowest space between words, in letter heights
 _LANE_PX = 3.0  # height of letters, px, in the reduced image in which lanes are searched
 _NARROWEST = 0.75  # smallest width of a lane (white gap between columns), in letter heights
 _LANES = ((1.25, 15.0), (1.9, 8.0))
-"""Two kinds of lanes: smallest width, in word spaces, and smallest length, in letter heights."""
+"""For each kind of lane: smallest width, in word spaces, and smallest length, in letter heights."""
 _LANE_REACH = 16.0  # largest distance from a lane to the print on each side, in letter heights
-_SHORT_LINES = 6.5  # largest height of a gap in the print beside a lane, in letter heights
-_LANE_GAP = 25.0  # largest height of a gap in a lane, in letter heights
+_SHORT_LINES = 6.5  # largest vertical gap in the print beside a lane, in letter heights
+_LANE_GAP = 25.0  # largest vertical gap at which an interrupted lane continues, in letter heights
 
 
 def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[Components]:
@@ -190,7 +190,7 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
         width = max(3, round(max(_NARROWEST * height, spaces * space)))
         lane = np.ones((round(length * height / part), width), np.uint8)
         lanes |= cv2.morphologyEx(white.view(np.uint8), cv2.MORPH_OPEN, lane) > 0
-    # Close white gaps in lanes. Beside such a gap, a column has no print.
+    # A lane is interrupted where a column beside it has no print. Continue the lane there.
     longer = np.ones((round(_LANE_GAP * height / part) | 1, 1), np.uint8)
     within = cv2.morphologyEx(lanes.view(np.uint8), cv2.MORPH_CLOSE, longer, borderValue=0)
     wide = cv2.morphologyEx(1 - page, cv2.MORPH_OPEN, np.ones((3, width), np.uint8))
@@ -199,8 +199,8 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
 
 
 def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
-    """Link letters to the next letters on the right, links of lowest cost first. Return the
-    indices of the left and right letters, and the gaps between both, px, (L,) each."""
+    """Link each letter to the next letter on its right; links of low cost go first. Return for
+    each link the index of the left letter, the index of the right letter, and the gap, px."""
     height, middle = letters.height, (letters.top + letters.bottom) / 2
     # Vertical distance counts twice in the search for near letters.
     starts = np.column_stack([letters.left, 2 * middle]).astype(np.float32)
@@ -215,7 +215,7 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     beside = np.minimum(one.bottom, other.bottom) - np.maximum(one.top, other.top)
     is_link = (gap <= _WIDEST_GAP * taller) & (other.left + other.right > one.left + one.right)
     is_link &= (beside >= _LEAST_OVERLAP * lower) & (taller <= _LARGEST_RATIO * lower)
-    # A pixel of vertical offset costs as much as a pixel of gap.
+    # The cost of a link is the gap between the letters plus their vertical offset, px.
     cost = np.where(is_link, np.maximum(gap, 0) + lower - beside, np.inf)
     links, begun, ended = [], set(), set()
     for k in np.argsort(cost, kind="stable")[: np.count_nonzero(is_link)]:
@@ -231,19 +231,19 @@ _WORD = 1.3  # width, in letter heights, above which a component is several touc
 _PIECE = 0.6  # width of the pieces into which touching letters are divided, in letter heights
 _DEGREES = (8.0, 20.0, 40.0)
 """Smallest lengths of rows, in letter heights, for baselines of polynomial degree 1, 2 and 3."""
-_DESCENDING = 2.5  # weight of deviations below a baseline
+_DESCENDING = 2.5  # factor for distances below a baseline: descenders get smaller weights
 _ROUNDS = 5  # iterations of the robust fit
 _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # candidate x-heights, in letter heights
-_NEAR = (0.1, 0.5)  # tolerance of heights: a part in x-heights plus a part in px
+_NEAR = (0.1, 0.5)  # tolerance of heights, as a sum: the first part in x-heights, the second in px
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of ascender height and descender depth from the baseline, in x-heights."""
-_UNDECIDED = 0.3  # share of letters that end above a baseline from which the baseline is too low
+_UNDECIDED = 0.3  # if a larger share of letters ends above the baseline, the baseline is raised
 _STROKES = (0.75, 2.9)  # range of `Baseline.strokes` in text; usual print has 0.9 to 1.9
-_TOUCHING = 1.3  # median width of components, in x-heights, from which letters touch
+_TOUCHING = 1.3  # smallest median width of components in a row of touching letters, in x-heights
 _ON_LEVELS = 0.65  # smallest share of letters with typical heights in a row of text
-_TOUCHING_ON_LEVELS = 0.52  # smallest share of letters with typical heights if letters touch
+_TOUCHING_ON_LEVELS = 0.52  # smallest share of typical letter heights in a row of touching letters
 _FEW_ON_LEVELS = 0.8  # smallest share of letters with typical heights if the row has few letters
-MANY = 8  # with this many letters, a row shows by itself whether it is text
+MANY = 8  # smallest number of letters with which a row shows by itself whether it is text
 _SOLID = 0.75  # smallest share of ink in the box of a disc or a square
 
 
@@ -256,8 +256,8 @@ class Baseline:
     right: float
     curve: Floats  # (D,) polynomial coefficients, lowest first: y at a distance from ``left``
     x_height: float
-    rise: Floats  # (P,) heights above the baseline, of letters or pieces of words
-    fall: Floats  # (P,) depths below the baseline, of letters or pieces of words
+    rise: Floats  # (P,) heights of letter tops above the baseline
+    fall: Floats  # (P,) depths of letter bottoms below the baseline
     strokes: float  # number of strokes at half x-height, divided by the length in x-heights
 
     def at(self, x: NDArray[np.float64]) -> Floats:
@@ -286,7 +286,7 @@ class Baseline:
 
     @property
     def on_levels(self) -> float:
-        """Share of letter tops at typical heights or, if smaller, share of letter bottoms."""
+        """Smaller of two shares: letters with typical tops, and letters with typical bottoms."""
         near = _NEAR[0] * self.x_height + _NEAR[1]
         deep = (self.fall > _DEEP[0] * self.x_height) & (self.fall < _DEEP[1] * self.x_height)
         low = (np.abs(self.fall) < near) | deep
@@ -316,7 +316,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     score = np.tensordot((1, 0.9), _on_levels(rise, tried[:, None]).mean(axis=-1), 1)
     x_height = float(tried[score.argmax()])
     alike = rise[np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]]
-    # Take the mean height, unless only the smallest height puts all letters at typical heights.
+    # Take the mean of these heights, or their minimum if only the minimum fits all letters.
     heights = (float(alike.mean()), float(alike.min())) if len(alike) else (x_height,)
     x_height = max(heights, key=lambda tried: _on_levels(rise, tried).any(axis=0).all())
     along = np.arange(right - left)
@@ -335,8 +335,7 @@ def _on_levels(rise: Floats, x_height: Floats | float) -> NDArray[np.bool_]:
 
 
 def _pieces(ink: Ink, letters: Components, height: float) -> tuple[Floats, Floats, Floats]:
-    """Return the middle x, top and bottom of letters, (P,) each; words of touching letters are
-    divided into pieces."""
+    """Return middle x, top and bottom, (P,) each, of letters and of pieces of touching letters."""
     long = letters.width > _WORD * height
     rows = [np.stack([(letters.left + letters.right) / 2, letters.top, letters.bottom])[:, ~long]]
     for k in np.flatnonzero(long).tolist():
@@ -355,10 +354,10 @@ def _fitted(x: Floats, y: Floats, degree: int) -> Floats:
     """Return the coefficients of a polynomial near most points (robust fit)."""
     weight, curve = np.ones_like(y), np.zeros(1)
     for _ in range(_ROUNDS):
-        # ``full`` avoids a warning if all points have the same x, which leaves the slope open.
+        # ``full`` avoids a warning about the undetermined slope if all points have the same x.
         curve = np.asarray(polynomial.polyfit(x, y, degree, full=True, w=weight)[0])
         away = y - polynomial.polyval(x, curve)
-        # Distances below the curve count more, because descenders reach there.
+        # Enlarge distances below the curve: descenders end there, and must get small weights.
         off = np.where(away > 0, _DESCENDING, 1) * np.abs(away)
         typical = float(np.partition(off, len(off) // 2)[len(off) // 2])
         # Weights of Geman and McClure: distant points hardly count.

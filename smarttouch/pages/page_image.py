@@ -16,7 +16,7 @@ INCH_MM = 25.4
 def curve_at(
     coefficients: NDArray[np.float64], distance: NDArray[np.float64], length: float
 ) -> NDArray[np.float64]:
-    """Return a polynomial's values at ``distance``. Outside 0 to ``length``, values are linear."""
+    """Evaluate a polynomial at ``distance``; outside 0 to ``length``, extrapolate linearly."""
     inside = np.clip(distance, 0, length)
     y, slope = np.zeros_like(inside), np.zeros_like(inside)
     for coefficient in coefficients[::-1].tolist():
@@ -91,7 +91,7 @@ def require_pixels(name: str, width: int, height: int) -> None:
 def require_size_mm(
     name: str, width_mm: float, height_mm: float, options: str = "dpi or a width in mm"
 ) -> None:
-    """Raise PageError if the size of a page is implausible. The message names ``options``."""
+    """Raise PageError if a page's size is implausible. The message asks for ``options``."""
     if not all(SMALLEST_MM <= side <= LARGEST_MM for side in (width_mm, height_mm)):
         raise PageError(
             f"{name} would be {width_mm:.4g} x {height_mm:.4g} mm: give a {options} "

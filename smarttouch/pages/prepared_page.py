@@ -59,7 +59,7 @@ class PreparedPage:
 
 
 def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
-    """Return the lines of a page in reading order; None detects whether print is light on dark."""
+    """Return a page's lines in reading order. If ``light_on_dark`` is None, detect it."""
     return list(_with_lines(page, light_on_dark).lines)
 
 
@@ -127,10 +127,10 @@ def _with_lines(
 
 _SKEWS_DEG = np.linspace(-16, 16, 321)
 _LEAST_SKEW_DEG = 0.2  # smallest skew to correct
-_PEAK_DEG = 0.6  # largest distance from the best candidate skew at which candidates are averaged
+_PEAK_DEG = 0.6  # candidate skews within this distance of the best candidate are averaged
 _BIN = 0.25  # bin height in the histogram of the letters' lower ends, in letter heights
 _FEWEST = 30  # smallest number of letters with which the skew is measured
-_SURE = 2.0  # smallest score of a certain skew, relative to the median score of all candidates
+_SURE = 2.0  # smallest ratio of the best score to the median score with which the skew is certain
 
 
 def skew_of(letters: Components, height: float) -> float:
@@ -169,10 +169,10 @@ def _panels(ink: Ink, components: Components, height: float) -> Ink:
     return panels
 
 
-_HOPELESS = 60  # number of rows to measure if no row is text: a picture may have thousands
-_MISSES = 3  # number of further rows to measure for each row that is text
+_HOPELESS = 60  # number of rows after which measuring ends if none of these rows is text
+_MISSES = 3  # number of additional rows that are measured for each row that is text
 _LEAST_X_HEIGHT_PX = 3.5  # smallest x-height of readable print
-_SHORT = 11.0  # rows shorter than this, in letter heights, get the slope of the nearest line
+_SHORT = 11.0  # row length, in letter heights, below which a row gets the nearest line's slope
 
 
 def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Baseline], int]:
@@ -196,14 +196,14 @@ def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Base
     return _credible(ink, measured), small
 
 
-_EVEN = 0.85  # smallest share of letters with typical heights in an even line
+_EVEN = 0.85  # share of letters with typical heights from which a line is called even
 _FEW = 4  # smallest number of letters with which an even line is certainly text
 _SIMILAR = 1.7  # largest ratio between the x-heights of a line and a line that is certainly text
-_MOST_OF_ALL = 0.8  # smallest share of the page's ink in the lines if no line is certainly text
+_MOST_OF_ALL = 0.8  # if no line is certainly text, smallest share of the page's ink in its lines
 _OWN = (-1.8, 0.6)  # top and bottom of a line relative to the baseline, in x-heights
-_AROUND = (-1.7, 0.5)  # range around the baseline for foreign ink, in letter heights
-_FOREIGN = 0.1  # largest foreign ink for each letter of a line, relative to the line's ink
-_NEAR_FOREIGN = 0.5  # largest foreign ink for each letter of an even line
+_AROUND = (-1.7, 0.5)  # range around the baseline searched for foreign ink, in letter heights
+_FOREIGN = 0.1  # largest foreign ink (outside lines) per letter of a line, relative to its ink
+_NEAR_FOREIGN = 0.5  # largest foreign ink per letter of an even line, relative to the line's ink
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
@@ -240,7 +240,7 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
 def _ordered(
     lines: list[Baseline], components: Components, page: Page, slope: float, leftward: bool
 ) -> tuple[tuple[TextLine, ...], bool]:
-    """Return the lines and their marks in reading order, and whether this order is doubtful."""
+    """Return the lines in reading order, and whether this order is doubtful."""
     if not lines:
         return (), False
     x_height, ascent, descent = _sizes(lines)
@@ -302,7 +302,7 @@ def _ends(lines: list[Baseline], components: Components) -> list[tuple[float, fl
 
 
 _SAME = 0.15  # largest relative difference between x-heights of one font size
-_CAPITALS = 0.08  # largest share of letters taller than capitals in a line of capitals
+_CAPITALS = 0.08  # largest share of taller letters in a line that counts as all capitals
 _CAPITAL = 1.42  # height of a capital, in x-heights
 _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 """Plausible ranges of ascent and descent, in x-heights."""
@@ -335,7 +335,7 @@ _PER_MM = PRINT_DPI / INCH_MM
 
 
 def print_text(text: str) -> Page:
-    """Return a text printed black on white at 300 dots per inch, with its lines and their texts."""
+    """Print a text at 300 dpi, black on white. Return the page with its lines and their texts."""
     wrapped = [row for part in text.splitlines() for row in textwrap.wrap(part, _COLUMNS) or [""]]
     if not any(wrapped):
         raise PageError("text: has no words: write them after the colon, as in text:Hello")
@@ -363,6 +363,6 @@ def print_text(text: str) -> Page:
 
 
 def prepare_text(text: str) -> PreparedPage:
-    """Return a printed text as a prepared page, whose lines and texts are known."""
+    """Print a text; return it as a prepared page with its lines and their texts."""
     page = print_text(text)
     return PreparedPage(page, page.grey, page.lines, False, words=page.words)

@@ -12,16 +12,16 @@ _SAME_LINE = 0.3  # largest distance between baselines in one line, in letter si
 _SPACE = 0.1  # smallest gap that becomes a space, in letter sizes
 _WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
 """Smallest gap, in letter sizes, that separates columns: of words, of figures, and in a picture."""
-_APART = 2.5  # smallest gap between separate lines, above or beside, in letter sizes
+_APART = 2.5  # smallest vertical or horizontal gap between separate lines, in letter sizes
 _FLUSH = 0.4  # largest difference between the ends of justified lines, in letter sizes
 _FARTHER = 1.6  # smallest distance between blocks of rows, relative to the typical row distance
 _EDGE = 0.125  # height of the areas at top and bottom for running heads, relative to the page
 _WIDE_CELL = 5.0  # smallest mean line width of prose in a picture, in letter sizes
 _WIDER = 8.0  # smallest mean line width of prose in a PDF file, in letter sizes
-_WIDEST = 13.0  # smallest mean line width of prose if rows are loose, in letter sizes
-_LOOSE = 1.5  # row distance above which rows are loose, in letter sizes
+_WIDEST = 13.0  # smallest mean line width of prose with widely spaced rows, in letter sizes
+_LOOSE = 1.5  # row distance above which rows are widely spaced, in letter sizes
 _FEWEST = 3  # with fewer rows, the widths of lines do not tell prose from tables
-_SURE = 1.15  # if line widths are within this factor of the limit for prose, the order is doubtful
+_SURE = 1.15  # largest factor between line width and prose limit at which the order is doubtful
 DOUBTFUL = "the reading order is doubtful: words side by side may be columns, or rows of a table"
 # mark of a list item, or number of a section
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
@@ -63,7 +63,7 @@ _T = TypeVar("_T")
 
 @dataclass(eq=False)
 class Line:
-    """Line of text; whether it is a table row, and whether its place in the order is doubtful."""
+    """Line of text, or table row (``is_cells``). If ``is_doubtful``, its place may be wrong."""
 
     segments: Row
     text: str
@@ -211,11 +211,11 @@ def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
 
 
 def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
-    """Return the line width of two columns, relative to prose. From 1, the columns are read one
-    after the other. Return infinity if the file has this order."""
+    """Return the mean line width of two columns, relative to the limit for prose. Columns
+    with 1 or more are read one after the other. Return infinity if the file has this order."""
     ends = [_text(row)[:1] + _text(row)[-1:] for row in right]
     if all(map(str.isdigit, ends)) or all(_text(row).endswith(":") for row in left):
-        return 0.0  # a column of figures, or a column of labels
+        return 0.0  # a table: the right column has only figures, or the left only labels
     level = min(len(left), len(right))
     printed = [part for row in band for part in row if part.place >= 0]
     sides = [part.left >= end for part in sorted(printed, key=lambda part: part.place)]
@@ -237,8 +237,8 @@ def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: flo
 def _lines(band: list[Row]) -> list[Line]:
     """Convert rows to lines.
 
-    If the gaps of two rows overlap, both are table rows, and cells end in the middle of the
-    overlap. A row with only a first column is a plain line.
+    Where the gaps of two or more rows overlap, a cell ends. A row with text after its first
+    cell becomes a table row; other rows become plain lines.
     """
     gaps = sorted((gap for row in band for gap in _free(row)[1:-1]), key=lambda gap: gap[1])
     shared: list[_Span] = []

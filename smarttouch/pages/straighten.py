@@ -1,4 +1,4 @@
-"""Removal of perspective and skew from pictures of pages, and straight pictures of lines."""
+"""Correction of perspective and skew in pictures of pages; lines cut out as straight strips."""
 
 import math
 
@@ -90,7 +90,7 @@ def turned(grey: Grey, skew_deg: float) -> Grey:
     return flattened(grey, corners + (size - 1) / 2)
 
 
-_AROUND = 0.8  # height of the area above and below a line that is cut out too, in line heights
+_AROUND = 0.8  # extra height cut out above and below a line, removed at the end, in line heights
 SIDES = 0.25  # margin before and after a line, in line heights
 _INK = 128  # gray level below which a pixel belongs to a spot of ink
 _FADED = np.ones((5, 5), np.uint8)  # adds the gray edge of a spot to the spot
