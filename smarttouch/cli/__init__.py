@@ -88,7 +88,7 @@ def _run() -> int:
 
 
 def _outcome(error: BaseException) -> int:
-    """Print one sentence for each complaint of an error; return the exit status."""
+    """Print an error, with one line for each problem; return the exit status."""
     if isinstance(error, KeyboardInterrupt):
         return 130
     if isinstance(error, BrokenPipeError):

@@ -100,8 +100,8 @@ def optics(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
 ) -> None:
-    """Measure dark level and gain of each pixel, with the sensor covered and on blank white
-    paper."""
+    """Measure the dark level of each pixel with the sensor covered, then the gain of each pixel on
+    blank white paper."""
     from smarttouch.experiments import sensor_optics
 
     file = calibration.file("optics")

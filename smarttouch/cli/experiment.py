@@ -56,7 +56,7 @@ class _Participant(OptionGroup):
 
     @property
     def name(self) -> str:
-        """Name in the file of answers. A simulated participant has another name than a person."""
+        """Participant's name in the file of answers. It tells if the participant is simulated."""
         who = self.simulate and f"simulated-{self.simulate}"
         return "-".join(filter(None, (self.subject, who)))
 

@@ -186,7 +186,7 @@ class RunOptions(OptionGroup):
 
     @property
     def is_watched(self) -> bool:
-        """Whether a person can watch the run, and no files are written."""
+        """Whether a person can watch the run, and the run writes no files."""
         return (self.window or (draws() and not self.plain)) and not self.files
 
     @cached_property
