@@ -72,7 +72,8 @@ def check_recording(
     for recorded in recording.steps():
         if recorded.index != report.sequences:
             # Sequences depend on earlier steps, so nothing after a gap can be compared.
-            report.left_out = f"a gap: not compared from {recorded.step.input.time_ns / 1e9:.1f} s"
+            gap_s = recorded.step.input.time_ns / 1e9
+            report.left_out = f"steps are missing before {gap_s:.1f} s: the rest was not compared"
             break
         if profile.limits.ramp_s != recording.profile.limits.ramp_s:
             recorded = replace(

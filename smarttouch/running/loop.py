@@ -50,7 +50,7 @@ from smarttouch.sources.source_contract import Frame, Input, Source, checked_inp
 
 HELD_UP_NS = 1_000_000
 """Duration of a send, less its processor time, above which the send has waited for the board."""
-_LATE_AGAIN_NS = 5_000_000_000  # late sequences at shorter intervals are reported only once
+_LATE_AGAIN_NS = 5_000_000_000  # late sequences less than this time apart are reported only once
 
 LOG = logging.getLogger("smarttouch.run")
 """Logger of events, silent unless a program adds handlers."""
@@ -73,7 +73,7 @@ def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iter
     """Warm up the pipeline. In the block, freeze garbage collection and limit OpenCV to one thread.
 
     Enter the block before opening a board: an open board would report the warm-up as a lost host.
-    In simulated time nothing can be late, so skip the warm-up and do not freeze.
+    In simulated time nothing can be late, so there is neither a warm-up nor a freeze.
     """
     threads = cv2.getNumThreads()
     # Images are small: a second thread costs more than it saves.
@@ -198,7 +198,7 @@ class Inputs:
     _last_seen: int | None = None
     _blind: bool = False
     _lifted_until_ns: int = 0
-    _inkless_since_ns: float | None = None  # first press without ink; infinite after advice
+    _inkless_since_ns: float | None = None  # first press without ink; infinite once advised
 
     def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
         """Return the input, with the effective force, and the user's level; None at the end.
@@ -310,8 +310,8 @@ class Loop:
 
     The source is read at each deadline, and the next deadline is one sequence period later.
     Therefore long scans lower the rate, and inputs never queue. A late loop moves all later
-    deadlines instead of catching up. Statistics are updated at each step, so that they exist after
-    a fault. Listeners also receive steps whose sequences were lost with the board.
+    deadlines instead of catching up. Statistics are updated at each step, so that a fault does not
+    lose them. Listeners also receive steps whose sequences were lost with the board.
     """
 
     def __init__(
@@ -347,7 +347,7 @@ class Loop:
         self._clock = clock or board.clock
         self.is_simulated: bool = isinstance(self._clock, SimulatedClock)
         """Whether time is simulated."""
-        # Simulated time cannot stall.
+        # A pause of the computer does not stall a board with simulated time.
         self._may_stall = not board.simulated_time
         self._seconds = seconds
         self._start_ns: int | None = None
@@ -375,7 +375,7 @@ class Loop:
             yield
 
     def resume(self) -> None:
-        """Move the next deadline to now if it has passed during a pause without sequences."""
+        """After a pause without sequences, move the next deadline to now if it has passed."""
         if self._start_ns is None:
             self._start_ns = self._zero_ns = self._clock.now_ns()
         elif (idle_ns := self.time_ns() - self.elapsed_ns) > 0:
@@ -383,7 +383,7 @@ class Loop:
             self._expected_ns, self._over_ns = None, 0
 
     def time_ns(self) -> int:
-        """Return the time since the start of the run, ns, less the delays that moved deadlines."""
+        """Return the time of the run, ns: the time since the start, minus delays of deadlines."""
         return self._clock.now_ns() - self._zero_ns
 
     def begins_at_zero(self) -> bool:
@@ -412,11 +412,11 @@ class Loop:
         """Deliver one input; return False at the end of the source or of the run."""
         inputs, clock = self.inputs, self._clock
         pipeline, board, phase = inputs.pipeline, inputs.board, self._phase
-        # Read the board's clock first, so that a pause before the second read counts as a delay.
+        # Read the board's clock first: a pause between the two reads then makes `waits_ns` longer.
         board_ns, now_ns = board.clock.now_ns(), clock.now_ns()
         since_ns, deadline_ns = now_ns - (self._start_ns or 0), self._zero_ns + self.elapsed_ns
         inputs.statistics.seconds = since_ns / 1e9
-        # Current stopped at the end of the last sequence, which may be before the deadline.
+        # Time since the deadline, or since the end of the last sequence if that was earlier.
         waits_ns = max(0, now_ns - deadline_ns, now_ns - self._over_ns if self._over_ns else 0)
         if waits_ns > LATE_NS and self._may_stall:
             # After a stall, send the next sequence now and restart the ramp.
@@ -479,14 +479,14 @@ class Loop:
             expected_ns, late_ns = self._expected_ns, now_ns - sent.deadline_ns
             error_us = None if expected_ns is None else abs(now_ns - expected_ns) / 1000
             statistics.enter(result, error_us)
-            # After a wait for the board, move deadlines later: sequences then reach the board at
-            # the same times as before, but are made from fresher frames.
+            # Move deadlines later by the time that the send waited for the board. Later sequences
+            # then need not wait, so that they are made from fresher frames.
             self._zero_ns += sent.waited_ns
             if late_ns > sent.period_ns:
                 statistics.late += 1
                 self._zero_ns += late_ns
             more_ns = 0 if phase is None else phase.follow(self._zero_ns, sent)
-            # Delays caused by the board do not count as late.
+            # Expect the next step later by `more_ns`: this intended delay is not an error.
             self._zero_ns += more_ns
             self._expected_ns = now_ns + sent.period_ns + more_ns
             self._over_ns = sent.sent_ns + sent.period_ns + more_ns

@@ -27,7 +27,7 @@ from smarttouch.stimulation.scheduler import NetPlan, ScanScheduler, SchedulerCo
 from smarttouch.stimulation.sequence_limits import strength_ppb
 from smarttouch.stimulation.slots import FrameSlots
 
-_ROUNDING_UC = 0.02  # largest net charge after the longest recharge phase, due to rounding to 1 µA
+_ROUNDING_UC = 0.02  # largest net charge, µC, that comes from rounding recharge currents to 1 µA
 
 
 @dataclass
@@ -61,8 +61,8 @@ class Regulator:
     def take_back(self, sequence: ScanSequence) -> None:
         """Remove a sequence from the ledger, because the sequence did not reach the board.
 
-        With recharge phases, do nothing: the gate has counted the sequence, and the ledger must
-        agree with the gate.
+        With recharge phases, keep the sequence: the gate has counted the sequence, and the ledger
+        must agree with the gate.
         """
         if self.ledger is not None and self.recharge is None:
             self.ledger.add(sequence, -1)
@@ -71,10 +71,10 @@ class Regulator:
         """Return notes for the user after the run."""
         notes = []
         if self.adaptation is not None and (limited := self.adaptation.limited):
-            end = "strong" if self.adaptation.holds == "energy" else "long"
+            end = "full current" if self.adaptation.holds == "energy" else "longest width"
             notes.append(
                 f"{self.adaptation.holds} could not be kept constant at {len(limited)} sites, "
-                f"because pulses there are as {end} as allowed"
+                f"because pulses there have reached their {end}"
             )
         if self._reversed:
             notes.append(
@@ -83,8 +83,8 @@ class Regulator:
             )
         if self.recharge is not None and self.ledger is not None and self._waited:
             notes.append(
-                f"after {self._waited} of {self._scans} scans, net charge remained that was too "
-                f"large for one recharge phase; {self.ledger.worst_uc:.2f} µC remain at the end"
+                f"{self._waited} of {self._scans} scans left more net charge than one recharge "
+                f"phase can remove; at the end of the run {self.ledger.worst_uc:.2f} µC remain"
             )
         return notes
 
@@ -209,7 +209,7 @@ class Pipeline:
             gone = max(0, 0 if self._restarted else time_ns - self._time_ns) / self._limits.ramp_ns
             self._vibration, self._time_ns = min(wanted, self._vibration + gone), time_ns
             if not np.delete(activation, Afferent.PC, axis=0).any():
-                # No class gets current. The vibration has been ramped above: skip the ramp here.
+                # No class gets current. The ramp of the vibrator has been applied above.
                 wanted, strength = self._vibration, 1.0
         sequence = scan.schedule(tactile, wanted, pressure, strength, regulator.adaptation)
         if allowed is None:
@@ -301,8 +301,8 @@ def make_regulator(
             )
         if config.hold == "energy":
             note(
-                f"To keep energy constant, currents start at {RESERVED:.0%} of the request: raise "
-                "the intensity if needed. When the skin becomes wet, currents can rise."
+                f"To keep energy constant, currents start at {RESERVED:.0%} of the requested "
+                "currents: raise the intensity if needed. If the skin gets wet, currents can rise."
             )
         adaptation = Adaptation(profile, config.hold, can.compliance_v)
     if config.balance:

@@ -104,7 +104,7 @@ class Program(Source, Listener):
     def __init__(self, profile: Profile, title: str = "session") -> None:
         super().__init__(title)
         self.controls: Controls = Controls(ControlState(Mode.RA))
-        self.now_ns: int = 0  # time of the latest sequence in the run
+        self.now_ns: int = 0  # time of the run, updated after each sequence
         self._profile = profile
         self._press_n = profile.force.full_n
         self._least_us = math.ceil(1e6 / profile.limits.rate_hz)
@@ -139,7 +139,7 @@ class Program(Source, Listener):
         try:
             self.program()
         except SmartTouchError:
-            # This error is not a fault if the program showed a pattern after the end of the run.
+            # After a stop, each attempt to show a pattern raises an error, which is not a fault.
             if self._failed is not None or not loop.stop.event.is_set():
                 raise
         finally:
@@ -207,7 +207,7 @@ class Program(Source, Listener):
     ) -> Shown:
         """Show a pattern for some time, and return at the end of the pattern.
 
-        If the ramp is below the pattern's level, call `rise` first.
+        If the ramp is below ``opens``, this method first raises the ramp, like `rise`.
 
         Parameters
         ----------
@@ -289,7 +289,7 @@ class Program(Source, Listener):
         if first is not None and (start := board.start_of(first)) is not None:
             board_us = start[1]
             if not board.simulated_time:
-                # While the machine is suspended, the board's clock runs and `time.monotonic` stops.
+                # Use the present offset of the two clocks: it changes at each suspend.
                 clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start[0])
         return Shown(begun_ns, clock_ns, board_us, sequences, pulses, intensity, current_ma, 0.0)
 
@@ -334,8 +334,8 @@ class Program(Source, Listener):
     def put(self, pattern: Pattern, stale_s: float = 0.5) -> None:
         """Show a pattern until the next call of `put`, and return at once.
 
-        The pattern begins when the current sequence is over. A stale pattern causes no current. In
-        simulated time, `put` returns after it has sent one sequence of the pattern.
+        The pattern begins when the sequence on the board has ended. Once the pattern is stale, no
+        current flows. In simulated time, `put` instead sends one sequence and then returns.
 
         Parameters
         ----------
@@ -380,14 +380,14 @@ class Program(Source, Listener):
                             loop.resume()
                             self.now_ns = loop.elapsed_ns
         except Exception as error:
-            # The next call from the program raises this error. Ignore errors after the run.
+            # Store the error: the next call from the program raises it. After the run, ignore it.
             if self._loop is not None and not self._loop.stop.event.is_set():
                 self._failed = self._failed or error
                 with contextlib.suppress(SmartTouchError):
                     self._context.board.stop()
 
     def _newest(self) -> Stimulus:
-        """Return the latest pattern of `put`, with a new number after another pattern."""
+        """Return the latest pattern of `put`. A new or resumed pattern gets a new number."""
         with self._put_lock:
             pattern, came_ns, stale_ns = self._put
             if self._is_new or self._count != self._put_count:
@@ -404,7 +404,7 @@ class Program(Source, Listener):
     @contextmanager
     def _turn(self, waits: bool = True) -> Iterator[Loop]:
         """Wait until no other thread shows a pattern, set the next deadline to now, and yield the
-        loop. If ``waits``, the thread that sends patterns of `put` lets this thread go first."""
+        loop. ``waits`` is false only for patterns of `put`, which give way to all others."""
         waiting = [object()] * waits
         self._waiting.extend(waiting)
         self._news.set()
@@ -463,8 +463,8 @@ class Program(Source, Listener):
             weak = np.asarray(np.float32(faint) * active, np.float32)
             sequence = self._send(self._stimulus(weak, self._silent_us, level)).sequence
             if 0 < STEADY * self._requested(exact) <= sequence.intensity:
-                # The pulses were too weak to raise the ramp: double their activation. If full
-                # activation makes no slots, no current can flow, and no ramp is needed.
+                # These pulses were too weak to raise the ramp: double their activation. If there
+                # are no pulses at full activation, no current can flow, and no ramp is needed.
                 if faint == 1 and not sequence.slots:
                     return 0.0
                 faint = min(1.0, 2 * faint)

@@ -25,10 +25,10 @@ def open_recording(rest: str, profile: Profile) -> "RecordingSource":
 class RecordingSource(Source):
     """Frames or stimuli of a recording, with pose and force, at their recorded times.
 
-    An input that was sent as several sequences counts once. Stale inputs stay stale.
+    An input that was sent as several sequences counts once. Inputs recorded as stale are stale.
     """
 
-    knows_force = True  # used only on boards without a finger; otherwise force is measured live
+    knows_force = True  # recorded force counts only on boards without a finger
 
     def __init__(self, recording: RecordedRun) -> None:
         super().__init__(recording.path.name)

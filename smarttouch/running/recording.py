@@ -27,7 +27,7 @@ from smarttouch.running.recording_format import (
 )
 
 _MOST_BYTES = 2**40  # largest size of a recording, reached after about a month
-_MOST_RECORD_BYTES = 128 * 2**20  # largest size of a chunk; most chunks have a few MB
+_MOST_RECORD_BYTES = 128 * 2**20  # largest size of a chunk that is read; most have a few MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +71,12 @@ _SLOTS = ("current_ua", "width_us", "discharge_us", "site")
 
 def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
     columns: dict[str, list[Any]] = {field.name: [] for field in fields(RunArrays)}
-    row_of: dict[int | None, int] = {}  # row by sequence number
+    row_of: dict[int | None, int] = {}  # row of each sequence, by its number
     columns["first_slot"].append(0)
     for row, recorded in enumerate(steps):
         sent, sequence = recorded.sent, recorded.step.sequence
         recharge_ua = sequence.recharge_ua
-        # Most arrays have the name of their field in the messages.
+        # Most values are fields of the message, with the same names as the arrays.
         values = recorded.message | {
             "step": recorded.index,
             "sent": -1 if sent.number is None else sent.number,
@@ -114,7 +114,7 @@ class RecordedRun:
     about : dict of str to str
         Description of the run: profile, settings, versions.
     damaged_chunks, broken_steps : int
-        Numbers of unreadable chunks and steps in the last reading.
+        Numbers of unreadable chunks and steps, counted when the file was last read.
     """
 
     def __init__(self, path: Path | str) -> None:

@@ -73,7 +73,7 @@ _PNG = (
     cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
 )  # fmt: skip
 _INFO = 2  # level of events in foxglove.Log
-_REMEMBERED = 512  # number of sequences kept to decode the voltages in later steps
+_REMEMBERED = 512  # number of latest sequences to keep, because voltages refer to them
 _LONGEST_US = 10_000_000  # longest time between two stimuli: the period of the slowest rate
 _INVALID = (ValueError, TypeError, LookupError, AttributeError, OverflowError, cv2.error)
 """Exceptions raised by valid JSON with invalid content."""
@@ -82,7 +82,7 @@ _INVALID = (ValueError, TypeError, LookupError, AttributeError, OverflowError, c
 class RecordedConfig(RunConfig):
     """Configuration of a recorded run, with everything else that its sequences depend on.
 
-    ``carried_pc`` is the net charge of each electrode before a run with ``balance``; empty means 0.
+    ``carried_pc`` is the net charge of each electrode at the start, pC; empty if there is none.
     """
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="ignore")
@@ -102,7 +102,7 @@ class RecordedConfig(RunConfig):
 
 
 def recorded_settings(config: RunConfig, profile: Profile) -> dict[str, Any]:
-    """Return the settings of a configuration that recordings contain, for JSON."""
+    """Convert a configuration to the settings that recordings store, for JSON."""
     settings = config.model_dump(mode="json", exclude={"scan", "seconds", "intensity", "paced"})
     shared = [afferent.name for afferent in config.sharing(profile).afferents]
     return settings | {"sharing": {"primaries": shared}}
@@ -111,7 +111,7 @@ def recorded_settings(config: RunConfig, profile: Profile) -> dict[str, Any]:
 def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) -> dict[str, str]:
     """Return the description of a run, with software versions and a digest.
 
-    Sequences depend only on the settings in `RecordedConfig`; all others are only for information.
+    Sequences depend only on the settings in `RecordedConfig`. Other settings are for information.
     """
     versions = {
         "smarttouch": __version__, "python": platform.python_version(), "numpy": np.__version__,

@@ -149,8 +149,8 @@ class RunStatistics:
 
     @property
     def selectivity(self) -> tuple[float, float] | None:
-        """Largest off-target activation and largest spill of all slots: shared slots, and single
-        kernels of the used modes. None if unknown."""
+        """Largest off-target activation and largest spill, over all shared slots and over all
+        kernels of the modes that were used. None if unknown."""
         bank, other, spill = self.kernels, self.off_target, self.spill
         if bank is None or bank.discs:
             return (other, spill) if other or spill else None
@@ -219,7 +219,7 @@ class RunStatistics:
 GUARD_NS = 500_000  # spare time between the typical arrival of a sequence and its start
 _IDLE_NS = 1_000_000
 """Longest normal pause of a board between sequences. A longer pause means a late sequence."""
-_ONE_LATE_IN = 20  # one sequence in this number may take longer than the assumed delay
+_ONE_LATE_IN = 20  # 1 of 20 recent sequences may exceed the usual delay of sending
 _REMEMBERED = 250  # number of sequences for which transfer times are remembered
 
 
@@ -242,8 +242,8 @@ class PhaseLock:
 
     The board reports when it starts each sequence. The deadline of a sequence should precede
     this start by the sum of transfer time, usual delay of sending, and `GUARD_NS`. If a deadline is
-    earlier, all following deadlines are delayed. Deadlines need not be advanced, because a late
-    sequence also delays the starts of all later sequences.
+    too early, all following deadlines move later. Deadlines never move earlier: if a deadline is
+    too late, the board starts this sequence and all later sequences later.
     """
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:

@@ -46,10 +46,10 @@ MakeControls = Callable[[ControlState, tuple[Mode, ...]], Controls]
 class Runner:
     """One run of a source on a display; the source is closed at the end.
 
-    ``force`` is a source of finger force or its URL. The default is the profile's ``force.source``
-    if a finger may be on the board, and otherwise the force that the source or the board knows.
+    ``force`` is a source of finger force or its URL. If a finger may be on the board, the default
+    is the profile's ``force.source``; otherwise it is the force from ``source`` or the board.
     ``load_kernels`` returns the kernels of a profile. ``controls`` makes the controls from the
-    initial state and the offered modes. A paced run uses real time, any other run the board's time.
+    initial state and the offered modes.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class Runner:
             statistics.notes += listener.notes
 
     def _prepared(self) -> tuple[RunContext, Pipeline]:
-        """Return context and pipeline after all slow preparations, before the board is opened."""
+        """Do slow preparations, before the board is opened; return context and pipeline."""
         config, source, display = self.config, self.source, self.display
         driver, profile = display.board.driver, display.profile
         if display.on_a_finger:

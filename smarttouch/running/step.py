@@ -1,4 +1,4 @@
-"""Steps of a run, each from an input to a sent scan sequence, and base class of listeners."""
+"""Steps of a run: inputs with the scan sequences made from them. Base class of listeners."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -77,13 +77,13 @@ class StepResult:
     ----------
     step : Step
     number : int or None
-        Number of the sequence on its board; None if it was lost with the board.
+        Number of the sequence on its board; None if the sequence was late, or was lost.
     latency_us : float
         Time from reading the input to writing the last byte of the sequence.
     work_us : float
         Processor time of the loop for this step.
     acknowledged, refused : int
-        Numbers of sequences that the board had begun to deliver, and had refused, up to this step.
+        Number of sequences that the board had begun to deliver; number that it had refused.
     clock_ns : int
         Real time from the start of the run to the start of the step, including all delays; -1 if
         unknown.
@@ -145,7 +145,7 @@ class StepResult:
 class RunContext:
     """Objects of a run that listeners may read, but must not change.
 
-    ``settings`` contains everything that sequences depend on, as recordings store it in JSON.
+    ``settings`` contains the run's settings as a recording stores them, in JSON.
     """
 
     source: "Source"
