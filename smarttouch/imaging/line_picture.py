@@ -13,7 +13,7 @@ Floats = NDArray[np.float32]
 
 
 class Raster:
-    """Image that adds up the values at each pixel, or keeps the largest one if ``strongest``."""
+    """Sum of the values at each pixel of an image, or the largest value if ``strongest``."""
 
     def __init__(self, shape: tuple[int, int], strongest: bool = False) -> None:
         self.value: Floats = np.zeros(shape, np.float32)
@@ -28,8 +28,8 @@ class Raster:
         np.add.at(self.count, (row[on], column[on]), 1)
 
     def mean(self, spread: Callable[[Floats], Floats]) -> Floats:
-        """Blur the sums and the numbers of values with ``spread``, and return the mean at each
-        pixel. Pixels without values are 0."""
+        """Blur sums and counts with ``spread``, and return their ratio: the mean at each pixel.
+        Pixels without values are 0."""
         total, count = spread(self.value), spread(self.count)
         return np.divide(total, count, out=np.zeros_like(total), where=count > 1e-6)
 

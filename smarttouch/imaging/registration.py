@@ -62,15 +62,15 @@ class Registration:
 def _reduced_side(side: int, wanted: float) -> int:
     """Return the smallest side, at least ``wanted``, that is ``side`` divided by an integer. OpenCV
     reduces images faster by integer factors."""
-    # Without a tolerance for rounding errors, the factor could be too small by one.
+    # The tolerance keeps rounding errors from lowering an integer quotient by one.
     largest = math.floor(side / wanted * (1 + 1e-9))
     return side // next(factor for factor in range(max(1, largest), 0, -1) if side % factor == 0)
 
 
 def _averages(shape: tuple[int, int], to: tuple[int, int]) -> list[tuple[tuple[int, int], int]]:
-    """Return the shape and OpenCV's method of each step that reduces an image to a shape.
+    """Return the steps that reduce an image: the shape after each step, and OpenCV's method.
 
-    Steps by a factor of 2 come first, because they are ten times faster than other factors. For the
+    Steps by a factor of 2 come first, because they are ten times faster than other factors. At the
     factor 2, linear interpolation returns the mean of the pixels.
     """
     averages = []
@@ -109,7 +109,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
     nth = np.arange(len(pixel_index)) - (counts.cumsum() - counts)[electrode]
     pixels = np.zeros((counts.max(initial=0), len(electrodes)), np.intp)
     shares = np.zeros(pixels.shape, np.float32)
-    # `weights.cumsum()[n - 1]` is the weight of a pixel with n samples.
+    # A pixel with n samples has the sum of n equal weights, `weights.cumsum()[n - 1]`.
     weights = np.full(samples.max(initial=1), 1 / (255 * across * down), np.float32)
     pixels[nth, electrode], shares[nth, electrode] = pixel, weights.cumsum()[samples - 1]
     return Apertures(pixels, shares)
@@ -126,19 +126,19 @@ def on_frame(
         down = x_mm * sin + y_mm * cos + optics.offset_y_mm
         return across / optics.field_width_mm + 0.5, down / optics.field_height_mm + 0.5
     a, b, c, d, e, f, g, h, one = optics.homography
-    before = g * x_mm + h * y_mm + one
-    # `before` is `one` at the array's middle, and has the opposite sign behind the camera.
-    before = np.where(before * np.sign(one) > 1e-9, before, np.nan)
-    column, row = (a * x_mm + b * y_mm + c) / before, (d * x_mm + e * y_mm + f) / before
+    depth = g * x_mm + h * y_mm + one
+    # The depth at the array's middle is `one`. Behind the camera, depths have the opposite sign.
+    depth = np.where(depth * np.sign(one) > 1e-9, depth, np.nan)
+    column, row = (a * x_mm + b * y_mm + c) / depth, (d * x_mm + e * y_mm + f) / depth
     return (column + 0.5) / optics.sensor_columns, (row + 0.5) / optics.sensor_rows
 
 
 def _field_mm(
     electrodes: ElectrodeArray, optics: Optics, finest: bool = False
 ) -> tuple[float, float]:
-    """Return width and height of a frame on the page, extrapolated from the scale at one electrode.
+    """Return width and height of a frame on the page, mm, from the scale at the electrodes.
 
-    With a tilted camera the scale varies: use the electrode with the coarsest or finest scale.
+    With a tilted camera the scale varies: use the finest if ``finest``, otherwise the coarsest.
     """
     if optics.homography is None:
         return optics.field_width_mm, optics.field_height_mm

@@ -15,10 +15,10 @@ from smarttouch.profile import Profile
 
 LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper
 LEAST_GRAINS = 4.0  # smallest contrast of print, in multiples of the contrast of the paper's grain
-PALE = 0.3  # contrast, relative to white paper, from which print is accepted despite grain
+PALE = 0.3  # from this contrast, relative to white paper, dark spots are print, not grain
 BLURRED = 0.3
-"""Smallest contrast of ink, relative to white paper. In a frame with low contrast, 0.6 of the
-largest contrast is enough."""
+"""Smallest contrast of ink, relative to white paper. If the largest contrast of a frame is below
+0.5, then 0.6 of this largest contrast is enough."""
 GREY_GUARD = 0.41  # largest share of pixels between paper and ink; frames with more are noise
 BLACK = 0.2  # level, relative to white, below which wide areas are print, not a dark desk
 WHITE_DECAY_PER_S = 0.3  # decay rate of the white level, so slow that black headlines stay black
@@ -96,8 +96,8 @@ class NaturalDrive:
         time_ns: int,
         touching: bool,
     ) -> None:
-        """Set the rows RA and SAI of ``activation``, (3, E), from ink, (E,). If not ``touching``,
-        all ink counts as change."""
+        """Set the rows RA and SAI of ``activation``, (3, E), from ink, (E,). If ``touching``
+        is false, all ink counts as change, and no part is sustained."""
         if self.last_ns is None or not touching:
             self._slow[:] = 0
         change, sustained = activation[Afferent.RA], activation[Afferent.SAI]
