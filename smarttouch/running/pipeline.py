@@ -61,8 +61,7 @@ class Regulator:
     def take_back(self, sequence: ScanSequence) -> None:
         """Remove a sequence from the ledger, because the sequence did not reach the board.
 
-        With recharge phases, keep the sequence: the gate has counted the sequence, and the ledger
-        must agree with the gate.
+        With recharge phases, do nothing: the ledger must match the charge that the gate counts.
         """
         if self.ledger is not None and self.recharge is None:
             self.ledger.add(sequence, -1)
