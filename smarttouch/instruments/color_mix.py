@@ -49,7 +49,7 @@ def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) ->
 
 
 def parse_places(profile: Profile, sites: str | None) -> NDArray[np.intp]:
-    """Parse electrodes: 27,28,35-36, the word all, or None for the electrodes of `disc`."""
+    """Parse a list of electrodes: ``27,28,35-36`` or ``all``. None selects those of `disc`."""
     if sites is None:
         return disc(profile)
     if sites == "all":
@@ -84,11 +84,11 @@ def thinned(time_us: Times, least_us: int) -> Times:
 def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.intp]]]:
     """Merge trains of pulses into sequences, each with a period of at least ``least_us``.
 
-    A train is (K,) int64, µs, ascending, with pulses at least ``least_us`` minus 1 µs apart. Return
-    the start of each sequence and, for each pulse of each train, the index of its sequence. A pulse
-    that is due less than half of ``least_us`` after the start of a sequence joins this sequence.
-    Any other pulse starts a sequence as soon as the pulse is due and the previous sequence has
-    ended. So no pulse moves by more than half of ``least_us``.
+    A train is (K,) int64, µs, ascending, with pulses at least ``least_us`` minus 1 µs apart. A
+    pulse that is due less than half of ``least_us`` after the start of a sequence joins this
+    sequence. Any other pulse starts a sequence, if necessary after the end of the previous one.
+    So no pulse moves by more than half of ``least_us``. Return the start of each sequence and, for
+    each pulse of each train, the index of its sequence.
     """
     events = sorted(
         (pulse_us, row) for row, train in enumerate(trains) for pulse_us in train.tolist()
@@ -120,11 +120,11 @@ class Mixture:
     sites: NDArray[np.intp]  # (S,): stimulated electrodes
     electrodes: int  # number of electrodes (E)
     end_us: int  # end of the last stimulus
-    least_us: int  # shortest period of a sequence with pulses of all classes
+    least_us: int  # shortest period of a sequence that has pulses of all classes
     ideal_us: dict[Afferent, Times]  # (K,) int64, µs: ideal time of each pulse of a class
-    carried: dict[Afferent, NDArray[np.intp]]  # (K,): index of the stimulus of each pulse
+    carried: dict[Afferent, NDArray[np.intp]]  # (K,): for each pulse, the index of its stimulus
     left_out: tuple[Afferent, ...]  # classes that respond, but that the board cannot stimulate
-    vibrated: bool  # whether the PC drive is the amplitude of a vibrator, held between stimuli
+    vibrated: bool  # whether PC drive sets a vibrator's amplitude, until the next stimulus
     answers: Mapping[Afferent, ReceptorResponse]  # response of each class to the trace
 
     @property
@@ -156,7 +156,7 @@ class Mixture:
 
 def mix_colors(
     trace: Trace,
-    # The force law defines the force of full SAI drive, the limits define the shortest period.
+    # The force law sets the force of full SAI drive. The limits set the shortest period.
     profile: Profile,
     bank: KernelBank,  # kernels; a class without kernels cannot be stimulated
     sites: Collection[int] | None = None,  # stimulated electrodes; by default those of `disc`

@@ -32,13 +32,13 @@ from smarttouch.views.delivered_drawing import DeliveredDrawing, Under
 
 _UNBOUNDED_MM = (150.0, 100.0)  # size of the part of an unbounded texture that is shown
 _LONGEST_PX = 1000
-_ROUNDING_MM = 1.0  # accepted distance of the pointer from the texture, as places are rounded
+_ROUNDING_MM = 1.0  # largest accepted distance of the pointer from the texture (rounding)
 
 
 class PageMotion(HandMotion):
-    """Motion of the pointer over the texture in the run's window, from the texture's middle."""
+    """Motion of the pointer over a texture that is shown in the run's window."""
 
-    resolution_mm: float = 0.25  # about one pixel of the picture in the window
+    resolution_mm: float = 0.25  # about the size of a pixel in the window
 
     def __init__(self, texture: Texture) -> None:
         super().__init__("the pointer over the page")
@@ -70,11 +70,11 @@ class PageMotion(HandMotion):
 
 
 SLIDES = 1.5
-"""Lag, in mouse counts, of the filtered place behind a moving hand. Jitter of one count along each
-axis is a motion of 1.4 counts, less than the lag, so jitter does not move the filtered place."""
+"""Lag, in mouse counts, of the filtered place behind a moving hand. Jitter of one count along both
+axes is 1.4 counts long. This is less than the lag, so the filtered place does not follow jitter."""
 STICKS = 4.5
-"""Distance, in mouse counts, that a resting hand must move before the filtered place follows. It
-exceeds the sum of the lag (1.5 counts) and of jitter from end to end (2.8 counts)."""
+"""Distance, in mouse counts, that a resting hand must move before the filtered place follows. This
+distance exceeds the lag (1.5 counts) plus the largest jitter (2.8 counts, corner to corner)."""
 _ROUNDING = 1 + 1e-6  # factor that tolerates rounding errors when distances are compared
 
 
@@ -128,7 +128,7 @@ class TexturePicture(DeliveredDrawing):
     def under(self) -> Under:
         """Return the part of the texture that the array passed over."""
         if not np.isfinite(self._least).all():
-            raise SmartTouchError("nothing to draw, because no step was sent: let it run longer")
+            raise SmartTouchError("nothing to draw, because no step was sent: let the run go on")
         half = np.abs(self._position_mm).max(axis=0) + np.array(self._cell_mm)
         corner, end = self._least - half, self._most + half
         left, top = corner.tolist()
@@ -169,8 +169,8 @@ class MouseSource(StimulusSource):
     """Source in which an electrode pulses when a ridge of the texture passes under it.
 
     The pulse rate of an electrode is the texture's spatial frequency times the hand's speed. The
-    texture stays in place, and a hand at rest receives no pulses (paper, Section IV-C). A stimulus
-    has the place of the array's center on the texture as pose, and the texture there as image.
+    texture stays in place, and a hand at rest receives no pulses (paper, Section IV-C). The pose of
+    a stimulus is the array's center on the texture; its image is the texture under the array.
     """
 
     frames: int
@@ -182,7 +182,7 @@ class MouseSource(StimulusSource):
         self,
         texture: Texture,  # texture under the hand
         motion: HandMotion,  # open motion; the source closes it
-        # Result of `profile_for_reading`: images then show exactly the area under the array.
+        # Profile from `profile_for_reading`, so that images show exactly the area under the array.
         profile: Profile,
         mode: Mode = Mode.RA,  # class to stimulate: RA, SAI or PC
         rate_hz: float = USUAL_RATE_HZ,  # frames per second
@@ -196,7 +196,7 @@ class MouseSource(StimulusSource):
             raise SourceError(message)
         words, most_hz = f"a rate of {rate_hz:g} frames a second", profile.limits.rate_hz
         require_within(SourceError, "rate_hz", rate_hz, SLOWEST_RATE_HZ, most_hz, words)
-        # Limit of the pulse rate: what people can interpret, but at most half of the frame rate.
+        # Largest pulse rate: the rate that people can interpret, or half the frame rate if lower.
         self.fastest_hz: float = min(FASTEST_HZ, rate_hz / 2)
         self.duration_s: float | None = motion.duration_s
         self.knows_force: bool = motion.knows_force or press_n is not None
@@ -205,7 +205,7 @@ class MouseSource(StimulusSource):
         self.motion: HandMotion = motion
         self.pointer: PageMotion | None = motion if isinstance(motion, PageMotion) else None
         self.mode: Mode = mode
-        self.merged: int = 0  # ridges without a pulse, as another passed in the same frame
+        self.merged: int = 0  # ridges without a pulse: the electrode passed two in a frame
         self._electrodes = len(profile.electrodes)
         self._limit = PulseLimit(self._electrodes, self.fastest_hz)
         self._afferent: Afferent = mode.afferents[0]

@@ -34,8 +34,8 @@ _NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
 class HandMotion(Device, ABC):
     """Base class of sources of a hand's displacement.
 
-    After the first read, `origin_mm` is the start of the motion from the texture's top left corner
-    (None: the texture's middle). If `knows_force`, `force_n` is the force at the last read.
+    After the first read, `origin_mm` is the place on the texture where the motion starts, from the
+    top left corner; None means the middle. If `knows_force`, `force_n` is the latest force.
     """
 
     duration_s: float | None = None  # duration of the motion; None if endless
@@ -229,7 +229,7 @@ def _round_trip(span_mm: tuple[float, float], lane_mm: float) -> NDArray[np.floa
 
 
 def _timed(points: NDArray[np.float64], speed_mm_s: float) -> NDArray[np.float64]:
-    """Return two rows for each point, its arrival and its departure, (2 N, 3): s, mm, mm."""
+    """Return rows of time and place, (2 N, 3) s, mm, mm: arrival and departure at each point."""
     strokes_s = np.hypot(*np.diff(points, axis=0).T) / speed_mm_s
     comes = np.concatenate([[0.0], START_S + np.cumsum(strokes_s + REST_S) - REST_S])
     leaves = comes + REST_S

@@ -91,7 +91,7 @@ _LONGEST_SIDE = 32_000  # longest side of a map, px: OpenCV samples with 16-bit 
 _LOWEST, _HIGHEST = 0.25, 0.75
 """A place below `_LOWEST` is never raised, and a place above `_HIGHEST` is always raised. Between
 these heights, the threshold is the mean height of the surroundings."""
-_AROUND = 2.5  # side of two box filters, in grains, that together have a sigma of one grain
+_AROUND = 2.5  # side of a box filter, in grains; two filters in turn have a sigma of one grain
 _BLUR_MM = 0.2  # sigma of the blur that removes noise of photographs; lines of 0.1 mm remain
 
 
@@ -156,8 +156,8 @@ class Relief(Texture):
         """Return the depth of each place within a raised area, (H, W) mm."""
         half = self.grain_mm / 2
         margin = math.ceil(_AROUND * self.grain_mm / self.pixel_mm)
-        # No place outside of the map is raised. For the mean of the surroundings, however, the
-        # edge of the map continues outside.
+        # The mean of the surroundings needs heights outside of the map: repeat those of the edge.
+        # Places outside of the map are never raised.
         wide = cv2.copyMakeBorder(self.height, *(margin,) * 4, cv2.BORDER_REPLICATE)
         # Two box filters approximate a Gaussian, in a time that does not depend on their width.
         side = 2 * round(_AROUND * self.grain_mm / self.pixel_mm / 2) + 1
@@ -173,14 +173,14 @@ class Relief(Texture):
         return np.asarray(depth[inside].copy(), np.float32)
 
 
-_STROKE = 0.15  # smallest depth, in grains, for a pulse after each grain of motion
+_STROKE = 0.15  # smallest depth, in grains, at which each grain of motion causes a pulse
 _STEP = 1.25  # distance between samples along the path, in pixels of the map
 _MOST_SAMPLES = 64
 _FULL = 0.96
 """Depths above this share of half a grain count as full, because rounding and blur lower depths."""
 _LEAST_RISE = 0.5
-"""A maximum is a crest if depth has risen by this share of the maximum since the last pulse. Other
-maxima, as on a path along a ridge, are ignored."""
+"""A maximum of depth counts as a crest only if depth has risen, since the last pulse, by at least
+this share of the maximum. So the small maxima of a path along a ridge are ignored."""
 
 
 class ReliefFeeler:
@@ -198,7 +198,7 @@ class ReliefFeeler:
         self._least_mm = relief.pixel_mm / 2
         self._ground_mm = np.float32(_STROKE * relief.grain_mm)
         self._within_mm = relief.grain_mm / 2 - float(self._ground_mm)
-        """Motion from where depth reaches `_ground_mm` to the first pulse inside an area."""
+        """Distance an electrode moves from depth `_ground_mm` to the first pulse in an area."""
         self._all = np.arange(len(position_mm))
         self._nothing = RidgeCrossing(np.zeros(len(position_mm), np.float32), 0)
         self._nothing.height.flags.writeable = False
@@ -211,9 +211,9 @@ class ReliefFeeler:
         self._before = np.repeat(self._depth(x, y), 2, axis=0)
         self._lowest = self._before[0].copy()  # smallest depth since each electrode's last pulse
         self._pulsed = np.full(len(self._all), self._place)
-        """Place of the array at the last pulse of each electrode."""
+        """For each electrode, the place of the array at the electrode's last pulse."""
         self._entered = self._pulsed.copy()
-        """Place of the array when each electrode entered a raised area."""
+        """For each electrode, the place of the array when the electrode entered a raised area."""
 
     def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
         """Move the array. Motion shorter than the sample distance is carried to the next call."""
@@ -224,7 +224,7 @@ class ReliefFeeler:
         step = by * (self._step_mm / abs(by))
         if samples > _MOST_SAMPLES:
             samples, step = _MOST_SAMPLES, by / _MOST_SAMPLES
-        # Repeat the last two samples: a maximum is known only one sample later.
+        # Include the last two samples, because a maximum shows only at the next sample.
         places = np.asarray(self._place + step * np.arange(-1, samples + 1), np.complex128)
         x, y = self._on_map(places)
         depth = np.concatenate([self._before, self._depth(x[2:], y[2:])])
@@ -251,7 +251,7 @@ class ReliefFeeler:
             self._lowest = lowest[-1]
             return self._nothing
         self._lowest = np.where(pulsed, depth[-1], lowest[-1])
-        # Motion since the place where a pulse was due counts toward the next pulse.
+        # Count motion beyond the place where a pulse was due toward the next pulse.
         gone, grain_mm = places[-1] - self._pulsed, self._relief.grain_mm
         gone_mm = np.maximum(np.abs(gone), grain_mm)
         over = gone_mm - grain_mm < step_mm * (len(places) - 2)
@@ -268,7 +268,7 @@ class ReliefFeeler:
         """Return which electrodes passed a crest, the sample of their last crest, and the number of
         electrodes that passed more than one crest."""
         middle = depth[1:-1]
-        # A plateau has its crest at the far end. Before the end, `_inside` causes the pulses.
+        # Where depth is constant, only the end is a crest. `_inside` causes earlier pulses.
         crest = (middle >= depth[:-2]) & (middle > depth[2:]) & (middle > self._least_mm)
         crest &= middle - lowest[1:-1] >= _LEAST_RISE * middle
         last = len(crest) - crest[::-1].argmax(axis=0)
@@ -296,8 +296,8 @@ class ReliefFeeler:
     def _on_map(
         self, places: NDArray[np.complex128]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return where the electrodes are on the map, as columns and rows, (N, E) each, for N
-        places of the array."""
+        """Return the columns and the rows, (N, E) each, of the electrodes on the map, for N places
+        of the array."""
         x_mm, y_mm = self._relief.scale_mm
         x, y = places.real / x_mm, places.imag / y_mm
         return (
@@ -323,7 +323,7 @@ _NUMBER = r"([0-9]*\.?[0-9]+)"
 def open_texture(
     spec: str,
     *,
-    # scale of an image file that states none; width_mm is also the width of a text
+    # Give dpi or width_mm for an image that states no scale. width_mm sets the width of a text.
     dpi: float | None = None,
     width_mm: float | None = None,
     # distance between two pulses on a wide raised area, default 2 mm

@@ -24,7 +24,7 @@ from smarttouch.stimulation.scheduler import SLOWEST
 
 Array = NDArray[np.float64]
 
-SAMPLE_HZ = 4000.0  # lowest sampling rate: four times 1 kHz, which is above the band of PC
+SAMPLE_HZ = 4000.0  # lowest sampling rate (PC, the fastest class, responds below 1 kHz)
 HIGHEST_SAMPLE_HZ = 20_000.0
 LONGEST_S = 600.0
 
@@ -112,7 +112,7 @@ def open_trace(text: str, seconds: float = 2.0) -> Trace:
 
 
 def _parse(text: str) -> tuple[str, list[float]]:
-    """Parse a part of a trace; return its kind, and frequency and amplitude or force."""
+    """Parse a part of a trace; return its kind and its numbers (frequency, amplitude, force)."""
     kind, _, rest = text.strip().lower().replace(" ", "").partition(":")
     matched = _GRAMMAR[kind].fullmatch(rest) if kind in _GRAMMAR else None
     if matched is None:
@@ -126,9 +126,9 @@ def _parse(text: str) -> tuple[str, list[float]]:
 
 
 SPAN_DB = 5.0
-"""Smallest vibration level of full drive, relative to the threshold (our choice). From about this
-level on, an afferent fires in each cycle. A tone of 30 Hz with full RA drive does not exceed the
-threshold of PC, so it does not drive PC."""
+"""Level of a vibration above the threshold at which drive becomes full (our choice). At about this
+level, an afferent begins to fire in each cycle. The level is so low that a tone of 30 Hz with full
+RA drive stays below the threshold of PC."""
 SAI_FORCE_N = 0.0013
 """Median threshold force of human SAI afferents (Johansson, Vallbo and Westling, Brain Res. 184,
 1980)."""
@@ -140,7 +140,7 @@ SAI_RATE_HZ = 50.0
 """Default SAI rate at full drive, as in ``pulse.sai_rate_hz``; at the threshold, SAI fires at a
 fifth of this rate."""
 _PAD_S = 1.0  # padding that joins a trace's end to its start for the cyclic Fourier transform
-_GAP_S = 0.05  # longest time below the threshold within a vibration: between beats
+_GAP_S = 0.05  # longest pause below the threshold that does not end a vibration (as in beats)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +148,7 @@ class ReceptorResponse:
     """Response of one afferent class to a trace."""
 
     afferent: Afferent
-    # (N,) float64, in [0, 1]: drive at each sample of the trace; 0 up to the threshold
+    # (N,) float64: drive at each sample, from 0 (at or below the threshold) to 1
     drive: Array
     rate_hz: Array  # (N,) float64, Hz: firing rate of afferents
     spike_s: Array  # (K,) float64, s: times of spikes
@@ -224,14 +224,14 @@ def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
 
 
 def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int) -> Array:
-    """Return the samples at which the real part crosses zero upward while driven, one per cycle.
-    An undriven stretch of up to ``gap`` samples does not interrupt the cycles."""
+    """Return the samples at which the real part of ``turning`` crosses zero upward in driven
+    stretches, one per cycle. Up to ``gap`` undriven samples do not end a stretch."""
     turns = (np.unwrap(np.angle(turning)) + math.pi / 2) / (2 * math.pi)
     full_turns = np.floor(turns).astype(np.int64)
     on = np.flatnonzero(driven)
     if not len(on):
         return np.empty(0)
-    # Count only new maxima of the phase, as jitter can cause several zero crossings in a cycle. An
+    # Jitter can cause several zero crossings in a cycle, so count only new maxima of the phase. An
     # offset lifts the phase of each driven stretch above the maxima of the previous stretch.
     starts = on[np.diff(on, prepend=-gap - 1) > gap]
     stretch = np.cumsum(np.bincount(starts, minlength=len(driven))) - 1

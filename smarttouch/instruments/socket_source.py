@@ -100,7 +100,7 @@ class SocketSource(Program):
                 await self._put_newest(self._nothing, 0)
 
     async def _put_newest(self, pattern: Pattern, stale_s: float = 0.5) -> None:
-        """Put a pattern, which ends the current show."""
+        """Replace the current pattern, and end the current show."""
         self._end_task()
         # In simulated time `put` blocks, so a thread calls it.
         await asyncio.to_thread(self.put, pattern, stale_s)

@@ -18,7 +18,7 @@ class RidgeCrossing(NamedTuple):
 
     height: NDArray[np.float32]
     """Height of the last ridge that passed each electrode, (E,) in [0, 1]; 0 without a ridge."""
-    merged: int  # ridges without a pulse, as another passed the electrode in the same move
+    merged: int  # ridges without a pulse, because one move passed several ridges
 
 
 class TextureSampler(Protocol):
