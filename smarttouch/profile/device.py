@@ -158,8 +158,8 @@ class Frames(Table):
     """Bounds of slots that stimulate several points."""
 
     other: float = Field(default=0.3, gt=0, le=1)
-    """Largest activation of a class other than that of the targets, relative to the weakest target.
-    A single SAI point on the paper's line array reaches 0.30 with the paper's optimization."""
+    """Largest off-target: activation of any other class, relative to the weakest target.
+    With the paper's optimization, a single SAI point on the paper's line array reaches 0.30."""
     spill: float = Field(default=0.3, gt=0, le=1)
     """Largest spill: activation of the targets' class more than a pitch away from every target,
     relative to the weakest target."""
@@ -230,8 +230,8 @@ class Skin(Table):
     sai_angles_deg: tuple[float, ...] = Field(min_length=1)
     """Directions of horizontal axons. SAI mode targets axons of the first direction."""
     node_spacing_mm: Positive
-    """Distance between nodes at which kernel design limits off-target and spill. Arrays of up to
-    200 electrodes need 0.25 or less. Slots with several points are checked at 0.5 or more."""
+    """Spacing of the nodes at which kernel design limits off-target and spill. Arrays of up to 200
+    electrodes need 0.25 or less. Slots with several points are checked with 0.5 or more."""
     ra_ending: Literal["passive", "active"] = "passive"
     """Whether the ending of a rising axon can fire; determines the polarity of RA mode."""
     internode_mm: Positive = 0.079

@@ -49,11 +49,12 @@ class ElectrodeArray:
                 "least two, because current needs a return path",
                 key="electrodes",
             )
-        # `_field_of_kinds` places equal electrodes on top of each other, so tolerate their overlap.
+        # `_field_of_kinds` builds arrays in which equal electrodes overlap, so tolerate overlaps.
         self.refuse_overlaps(COINCIDENT_MM if self.own is None else None)
 
     def refuse_overlaps(self, least_mm: float | None = None) -> None:
-        """Raise ProfileError for overlaps or, with ``least_mm``, for centers closer than that."""
+        """Raise ProfileError if electrodes overlap. If ``least_mm`` is given, raise it only if
+        two centers are closer than ``least_mm``."""
         apart = self.distance_mm + np.diag(np.full(len(self), np.inf))
         touching = self._overlap(apart) if least_mm is None else apart < least_mm
         if touching.any():

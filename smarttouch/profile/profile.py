@@ -65,7 +65,7 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
     ):
         yield UnfitError(
             "kernels.neighbors requires output.kind 'weighted' and an array.layout other than "
-            "'lines': leave it out",
+            "'lines': remove the key",
             key="kernels.neighbors",
         )
 
@@ -126,7 +126,7 @@ def _misfits_of_strongest(
 
 
 _UNAFFECTED = ("optics", "registration", "force")
-"""Calibrations that stay valid for another array."""
+"""Calibrations that do not depend on the electrode array."""
 
 
 class Profile(Table):
@@ -204,7 +204,7 @@ class Profile(Table):
 
     @cached_property
     def admittance(self) -> NDArray[np.float64]:
-        """Admittance of each electrode, (E,) mS. Single-source current divides in this ratio."""
+        """Admittance of each electrode, (E,) mS. Current of one source divides in this ratio."""
         impedance = np.asarray(self.output.impedance_kohm, np.float64)
         return np.broadcast_to(1 / impedance, (len(self.electrodes),)).copy()
 
@@ -385,7 +385,7 @@ def stricter(own: Profile, other: Profile) -> Profile:
     if lower.any():
         perception["comfort_ma"] = tuple(full_ma.tolist())
     if (threshold_ma < own.threshold_ma).any():
-        # Without ``comfort_ma``, the comfort levels would change with the thresholds.
+        # Set ``comfort_ma``, because by default comfort levels follow the thresholds.
         perception |= {
             "threshold_ma": tuple(threshold_ma.tolist()),
             "comfort_ma": tuple(full_ma.tolist()),
@@ -395,6 +395,6 @@ def stricter(own: Profile, other: Profile) -> Profile:
     tables = {"limits": limits, "pulse": pulse, "perception": perception, "output": output}
     if all(table == getattr(own, name).model_dump() for name, table in tables.items()):
         return own
-    # Without ``share``, setting ``limits.total_ma`` would allow several points in a slot.
+    # Set ``share``, because by default ``limits.total_ma`` allows several points in a slot.
     frames = own.frames.model_dump() | {"share": own.shares}
     return own.model_copy(update={**tables, "frames": frames})

@@ -43,10 +43,9 @@ def read_levels(profile: Profile) -> list[SettledLevel]:
 
 
 class SettledLevels:
-    """Offers of comfortable levels of earlier runs, up to ``most``, and log of the levels of a run.
+    """Log of the comfortable levels of a run, and offers of the levels of earlier runs.
 
-    If the profile has changed, an offered level has the largest current of the earlier run.
-    """
+    An offer repeats the largest current of an earlier run. Offers above ``most`` are omitted."""
 
     def __init__(self, profile: Profile, most: float) -> None:
         self._profile, self._full_ma = profile, float(profile.full_ma.max())
@@ -62,8 +61,8 @@ class SettledLevels:
     def note(
         self, time_ns: int, mode: str, level: float, force_n: float, observed: Sequence[Any] = ()
     ) -> str:
-        """Process a step; ``observed`` are measured sequences with voltages, (S,) V. Return an
-        offer if the mode has changed and has a level to offer, otherwise an empty text."""
+        """Process a step. ``observed`` has measured sequences, each with its voltages, (S,) V.
+        If the mode has changed, return the offer of a level for this mode, or "" without one."""
         begins = mode != self._asked[0] and mode in self.offered
         for sequence, volts in observed:
             peak_ua = np.abs(sequence.current_ua.astype(np.float64)).max(axis=1, initial=1)

@@ -12,7 +12,7 @@ from smarttouch.base.files import read_toml
 
 class UnfitError(ValueError):
     """Error about an inconsistent value in a profile. Loading a file converts this error to a
-    `ProfileError` with the same attributes. Attributes that pydantic knows can be left out."""
+    `ProfileError` with the same attributes. The key can be left out, because pydantic knows it."""
 
     def __init__(self, message: str, **attributes: Any) -> None:
         super().__init__(message)
@@ -67,7 +67,7 @@ _KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
 _WHOLE_KINDS = ("bool", "int", "float", "str", "SlotPolicy")
 """Names of types that pydantic inserts between the keys of the file."""
 _NOT_OF_KIND = ("float_type", "tuple_type")
-"""Types of pydantic's errors for members of a union that do not match the value."""
+"""Types of pydantic errors that are ignored if an item of the same value has an error."""
 _MOST_IN_A_SENTENCE = 8
 
 _Error = TypeVar("_Error", bound=TableError)
