@@ -41,7 +41,7 @@ class DocumentCells:
     pages: Pages | None = None
 
     def laid_out(self, columns: int | None, rows: int | None, indent: int = INDENT) -> Pages:
-        """Return pages of a size; by default the pages of the BRF file, otherwise 40 x 25 cells."""
+        """Return pages of cells. Without a given size, the pages of a BRF file stay unchanged."""
         if self.pages is not None and columns is None and rows is None:
             return self.pages
         columns, rows = COLUMNS if columns is None else columns, ROWS if rows is None else rows

@@ -57,7 +57,7 @@ class DisplayContent:
         return under[0] if len(under) == 1 else None
 
     def first_new(self, before: "DisplayContent") -> int | None:
-        """Return the index of the first cell to present; None if at most the cursor moved.
+        """Return the index of the first cell to present; None if nothing but the cursor changed.
 
         If the cursor is at the first changed cell or one cell after it, the user is typing, and the
         changed cell is presented first. Otherwise a new line is presented from its start.
@@ -231,12 +231,12 @@ class BrailleDisplaySource(StimulusSource):
         light = np.where(self._dots, 0, 255).astype(np.uint8)
         grey = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_NEAREST), np.uint8)
         top_mm = self._jumps * (rows * down + LINE_GAP_MM) - rows * down / 2
-        # `_jumps` and the update number never decrease, so a change of either changes the sum.
+        # Neither number ever decreases, so a new jump or update changes the sheet's number.
         number = self._jumps + self._taken.number
         return Sheet(number, Page(grey, across / _DOT_PX), (0.0, top_mm))
 
     def read(self, time_ns: int) -> Stimulus | None:
-        """Return a stimulus with the dots under the array; stale without a connection."""
+        """Return a stimulus with the dots under the array. Without a connection, it is stale."""
         shown, age_ns = self.shown, 0
         elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
         self._before_ns = time_ns
@@ -298,7 +298,7 @@ class BrailleDisplaySource(StimulusSource):
             self._go_to(new)
 
     def _step(self) -> int:
-        """Return the column of dots in the middle of the array, at most `margin` past the end."""
+        """Return the column of dots in the array's middle, up to `margin` columns past the text."""
         moved_s = max(0.0, self._since_s - REST_S)
         step = self._first * self.layout.cell + int(moved_s * self._columns_a_s + 1e-6)
         return min(step, self._dots.shape[1] + self.layout.margin)

@@ -116,7 +116,7 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
     """
     profile = reading.profile
     source = ReadingSource("a line", profile, iter([line]), reading.motion)
-    # Have the line and the end of the text prepared, so that frames do not depend on CPU speed.
+    # Wait until the whole text is prepared, so that frames do not depend on CPU speed.
     source.line(1, wait=True)
     poses: dict[int, Pose] = {}
     meant: dict[int, NDArray[np.bool_]] = {}
@@ -230,9 +230,9 @@ def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
 
 
 _PERIODS = 10
-"""Number of periods for each letter, as noise and refractoriness vary the spikes by period."""
+"""Number of periods for each letter. Noise and refractoriness change the spikes in each period."""
 _RAMP_US = MOST_STEP_NS // 1000
-"""Period of sequences while intensity rises. In a longer period, it would not rise further."""
+"""Period of sequences while intensity rises. Longer sequences would raise it by the same step."""
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ def letter_sequences(
     scan: str = "auto",
     intensity: float = 1.0,
 ) -> dict[str, tuple[ScanSequence, NDArray[np.bool_]]]:
-    """Return for each letter a scan sequence, and which electrodes show the letter, (E,)."""
+    """Return for each letter a scan sequence, and a mask of its electrodes, (E,) bool."""
     pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan=scan))
     force_n = profile.force.full_n
     period_us = round(1e6 / profile.pulse.rate_hz)
@@ -269,7 +269,7 @@ def letter_sequences(
         pipeline.restart_at_zero()
         level = 0.0
         while level < intensity and drawn.any():
-            # The ramp raises intensity only with pulses, so repeat the letter until `intensity`.
+            # The ramp raises intensity only while pulses are sent, so repeat the letter.
             step = pipeline.process(Stimulus(activation, time_ns, force_n, _RAMP_US), intensity)
             level, time_ns = step.sequence.intensity, time_ns + 1000 * _RAMP_US
         step = pipeline.process(Stimulus(activation, time_ns, force_n, period_us), intensity)
@@ -280,7 +280,7 @@ def letter_sequences(
 
 def letters_on_finger(
     finger: Finger,  # its seed also seeds the noise
-    # slots and electrodes by letter, see `letter_sequences`
+    # slots and electrodes of each letter, from `letter_sequences`
     shown: Mapping[str, tuple[SlotCurrents, NDArray[np.bool_]]],
     wanted: Sequence[Afferent],
     known: Mapping[str, Floats],  # see `letter_templates`
@@ -302,8 +302,8 @@ def spikes_and_letter(
     known: Mapping[str, Floats],
     periods: int = _PERIODS,
 ) -> tuple[NDArray[np.intp], str]:
-    """Repeat slots, with drives (A, S), for a number of ``periods``. Return the spike counts, (A,),
-    and the best-matching letter; "" without spikes."""
+    """Repeat ``slots`` for ``periods`` periods; ``above`` is their drive, (A, S). Return the spike
+    counts, (A,), and the best-matching letter ("" without spikes)."""
     model.reset()
     counts = np.sum([model.fire(slots, above).counts for _ in range(periods)], axis=0)
     places = model.finger.profile.electrodes.position_mm

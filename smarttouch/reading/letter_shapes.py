@@ -28,18 +28,18 @@ from smarttouch.reading.recognition import Note, recognized_lines
 from smarttouch.sources.source_contract import Frame
 
 ENOUGH_ROWS = 8
-"""Sufficient number of rows: with 4, half of the characters are lost; with 8, about 1 %."""
+"""Enough electrode rows for letters: 4 rows lose half of the characters, 8 rows about 1 %."""
 INK_LEVEL = 128  # gray level of a prepared page below which a pixel counts as ink
 NIB_PIXELS = PIXELS_PER_CELL - 1  # width of a thinned stroke
 _PLAIN = Tone(0.3, 0.3, prepared=True)
-"""Tone curve of lines: a cell is active if 0.3 of it is ink. On 8 rows, 1 to 3 % of the characters
-cannot be read. With 0.5 thin strokes are lost, and 8 to 20 % cannot be read."""
+"""Tone curve of lines: an electrode is active if 0.3 of its cell is ink. On 8 rows, 1 to 3 % of
+the characters are unreadable. A threshold of 0.5 loses thin strokes and makes it 8 to 20 %."""
 _GRADED = Tone(0.0, 1.0, prepared=True)
 _DRAWN = Tone(0.35, 0.35, prepared=True)
 """Tone curve of single letters, whose strokes are one cell wide."""
 UNKNOWN_LEVEL = 0.7
-"""Intensity for simulated fingers, relative to the comfort level. Of two anatomies, the worse makes
-the fewest errors at this intensity (`examples/studies/reading_pages.py`)."""
+"""Intensity for simulated fingers, relative to the comfort level. It was chosen for
+the fewest errors in the anatomy that is harder to read (`examples/studies/reading_pages.py`)."""
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ SETTLE_S = 0.75
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
 LONGEST_PAUSE_S = 3600.0
 LINE_GAP_MM = 4.0
-"""Gap between lines in the coordinates of poses, where each line is below the previous line."""
+"""Gap between lines in the coordinates of poses, which place all lines below each other."""
 AHEAD = 30  # largest number of lines prepared in advance
 BEHIND = 60  # number of past lines that are stored for going back
 _JOIN_S, _AGAIN_S = 0.3, 0.1
@@ -46,7 +46,7 @@ class TouchLine:
 
 @dataclass(frozen=True)
 class LineMotion:
-    """Motion of lines under the finger, in steps of `step_mm`, or smooth if it is 0."""
+    """Motion of lines under the finger in steps of `step_mm`, or smooth if the step is 0."""
 
     speed_mm_s: float
     step_mm: float = 0.0
@@ -197,7 +197,7 @@ class ReadingSource(OpticalSource):
         self._thread.join()
 
     def _prepare(self, lines: Iterator[TouchLine]) -> None:
-        """Put lines into the queue, and at the end None or the error that ended preparation."""
+        """Put all lines into the queue, then None, or the error that stopped the preparation."""
         count, end = 0, None
         try:
             for line in lines:

@@ -62,7 +62,7 @@ class ReadingMaterial:
     def pages(self) -> Iterator[tuple[int, Page]]:
         """Yield the number and the image of each page that the options select.
 
-        No note reports an assumed scale, because lines are scaled to the array anyway.
+        An assumed scale is not reported, because lines are scaled to the array anyway.
         """
         options = self.options
         with Document(

@@ -15,11 +15,11 @@ _GAP = 1.35  # line distance, relative to the page's median, above which a parag
 _LARGER = 1.2  # ratio of x-heights above which two lines differ in size of print
 _INDENT = 0.8  # smallest indent of a paragraph, in x-heights
 _EVEN = 0.5  # largest difference between the right ends of full lines, in x-heights
-_SHORT = 0.15  # a line with a larger free share ends early, even before lower-case text
-_OPEN = 1 / 3  # smallest share of lines ending within a sentence in verse, addresses and lists
-_LONGEST_VERSE = 60  # longest full line, in characters, that counts as a line of verse
+_SHORT = 0.15  # share of free width above which a line ends early, even if lower case follows
+_OPEN = 1 / 3  # lines stay separate if at least this share ends early within a sentence
+_LONGEST_VERSE = 60  # longest line of verse, in characters; longer full lines are joined
 _LEADERS = re.compile(r"(?:\s?[.·…‥•]){4,}\s*;?\s*(?=\S*\d\S*$|[ivxlc]{1,7}\W*$)")
-"""Leader dots before a page number or a price, in the same cell of a table or the next."""
+"""Leader dots before a page number or a price, which can be in the next cell of a table."""
 _BLANK = re.compile(r"(?:_{3,}|(?:\s?[.…]){5,})\W*$")
 """Blank space to write in, as on forms, at the end of a line."""
 _BULLETS = r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]"
@@ -32,7 +32,7 @@ _HYPHENS = "-\u00ad\u2010\u2011\x02\ufffe¬"
 _AND = frozenset(["and", "or", "und", "oder", "bis", "bzw"])
 """Words before which a hyphen is kept, as in "pre- and post-war"."""
 _HYPHENATED = frozenset(["self", "well"])  # first parts of compounds that keep their hyphen
-_SAME_MM = 5.0  # lines repeat only if their heights on two pages differ by less than this
+_SAME_MM = 5.0  # vertical shift between two pages below which a line counts as repeated
 _HEAD_GAP = 1.15  # smallest distance from a running head to the text, in median line distances
 _MOST_HEADS = 4  # largest number of running heads; more repeated lines mean copies of a form
 
@@ -67,8 +67,8 @@ def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) ->
 
 
 def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]:
-    """Return lines without running heads and page numbers, which ``note`` reports. Both are lines
-    at the top or bottom, at equal heights on several pages, that differ only in page numbers."""
+    """Return lines without running heads and page numbers, which ``note`` reports. These lines are
+    at the top or bottom of several pages, at the same height, and differ only in page numbers."""
     pages = [
         sorted(page, key=lambda line: line.y_mm)
         for _, page in itertools.groupby(lines, lambda line: line.page)
@@ -84,7 +84,7 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
         outer = (_repeated(line, same) for line in edge[: _MOST_HEADS + 1])
         labels = list(itertools.takewhile(bool, outer))
         if len(labels) > _MOST_HEADS:
-            # So many repeated lines mean copies of a form: remove only the page number.
+            # More repeated lines mean that pages are copies of a form: remove only the page number.
             labels = [label for label in labels[:1] if "#" in label]
         steps = np.abs(np.diff([line.y_mm for line in edge]))
         usual_mm = np.median(steps[steps > _EVEN]) if (steps > _EVEN).any() else 0.0
@@ -106,8 +106,8 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
 
 
 def _keys(line: PrintedLine) -> Iterator[str]:
-    """Yield keys that a running head has on each page: its text, and variants of the text with #
-    for one number. A variant ends with this number minus the page number."""
+    """Yield keys that are equal for a running head on all pages. The first key is the text. Each
+    other key has # in place of a number, and ends with this number minus the page number."""
     yield line.text
     for number in re.finditer(r"\d{1,5}", line.text):
         before, after = line.text[: number.start()], line.text[number.end() :]
@@ -115,7 +115,7 @@ def _keys(line: PrintedLine) -> Iterator[str]:
 
 
 def _repeated(line: PrintedLine, same: dict[str, list[PrintedLine]]) -> str:
-    """Return the key that a line shares with a line on another page, or ""."""
+    """Return the text that a line shares with a line on another page (see `_keys`), or ""."""
     for key in _keys(line):
         for other in same[key]:
             if other.page != line.page and abs(other.y_mm - line.y_mm) < _SAME_MM:
@@ -141,7 +141,7 @@ def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
             current = None
             continue
         if k and line.page != lines[k - 1].page:
-            # A page can end with a footnote, so continue the last paragraph in this size of print.
+            # A footnote can end a page, so continue the last paragraph in the line's size of print.
             alike = (earlier for earlier in reversed(joined) if lines[earlier.last].is_like(line))
             current = next(alike, None)
         text = _LEADERS.sub(" ", line.text)
@@ -186,7 +186,7 @@ class _Layout:
             self._classify(block)
 
     def _runs(self, parts: Callable[[PrintedLine, PrintedLine], bool]) -> Iterator[list[int]]:
-        """Yield indices of successive lines on a page, in runs that end where ``parts`` is true."""
+        """Yield runs of line indices. A run ends with its page, and where ``parts`` is true."""
         run: list[int] = []
         for k, line in enumerate(self._lines):
             before = self._lines[k - 1]
@@ -198,8 +198,8 @@ class _Layout:
             yield run
 
     def _measure(self, column: Sequence[int], page: Sequence[PrintedLine]) -> None:
-        """Find the right margin of each line: the rightmost end of the column's lines in the same
-        size of print, except lines that reach into the neighboring column."""
+        """Find the right margin of each line: the rightmost end of lines of its column in the same
+        size of print. Lines that reach into the neighboring column do not count."""
         lines = self._lines
         for k in column:
             near_mm = self._step_mm[lines[k].page] / 2
@@ -345,7 +345,7 @@ def _table_rows(cells: Sequence[PrintedLine]) -> list[str]:
 
 
 def _joined(before: str, after: str, compounds: set[str]) -> str:
-    """Join two lines. A hyphen that divides a word is removed, that of a compound is kept."""
+    """Join two lines. Remove a hyphen that divides a word; keep the hyphen of a compound."""
     last = before.split()[-1]
     if "://" in last and last[-1] in "/?&=_%#-":
         return before + after
