@@ -53,7 +53,7 @@ def ascii_braille(line: str) -> str:
 
 def format_brf(pages: Pages) -> bytes:
     """Convert pages to BRF. Raises BrailleError if a cell has dots 7 or 8."""
-    # If a page began with an empty line, the form feed would read as a line, so add a blank.
+    # An empty first line would read as the end of the form feed's line, so add a blank.
     sheets = ("".join(f"{ascii_braille(line)}\r\n" for line in page) for page in pages)
     return "\f".join(re.sub(r"^\r", " \r", sheet) for sheet in sheets).encode("ascii")
 

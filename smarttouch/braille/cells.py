@@ -10,7 +10,7 @@ from smarttouch.base.errors import BrailleError
 Pages: TypeAlias = list[list[str]]  # pages of lines of cells
 
 BLANK = "\u2800"
-"""The empty cell. The pattern of a cell is its distance from this character; bit k is dot k + 1."""
+"""The empty cell. A cell's code minus this code is its pattern, in which bit k is dot k + 1."""
 PATTERNS = 256
 SIX_DOT_PATTERNS = 64
 

@@ -54,7 +54,7 @@ class BrailleTable:
         return "\n".join(self.code.encode(line) for line in plain.split("\n"))
 
     def losses(self, text: str) -> str:
-        """Return a sentence on characters that `to_cells` replaces or drops; "" without any."""
+        """Return a sentence on characters that `to_cells` replaces or drops, or "" for none."""
         signs = self._plain(text)[1].items()
         # UEB has technical notation for superscripts and subscripts, so do not report them.
         quiet = "^_" if self._is_ueb else ""
@@ -93,8 +93,8 @@ class BrailleTable:
         return plain, {sign: forms[sign] for sign in dict.fromkeys(text) if sign in forms}
 
     def _lacks(self, sign: str) -> bool:
-        """Return whether a character has no cells, or the cells of another character: some tables
-        translate superscripts to plain digits or blanks."""
+        """Return whether a character lacks cells of its own. Some tables translate superscripts to
+        plain digits or to blanks: these superscripts lack cells, too."""
         if sign == "\n":
             return False
         if self.code.missing(sign):
@@ -162,7 +162,7 @@ class _EnglishLouis(LouisCode):
 class _UncontractedLouis(_EnglishLouis):
     """Uncontracted English code that encodes by liblouis and decodes by `Grade1`.
 
-    Liblouis has more characters, but lost capitals in 77 of 1000 test sentences, `Grade1` in none.
+    Liblouis has more characters, but its decoding lost capitals in 77 of 1000 test sentences.
     """
 
     def decode(self, cells: str) -> str:
@@ -183,8 +183,8 @@ class _Known(NamedTuple):
     goes_back: bool
 
 
-# Decoding was measured with 1000 sentences for each table. de-2 and en-gb-2 restore at most one
-# sentence in thirty; de-0 and de-1 restore all except brackets, and numbers after a colon.
+# For each table, 1000 sentences were encoded and decoded. de-2 and en-gb-2 restore at most one in
+# thirty, so `goes_back` is False. de-0 and de-1 lose only brackets, and numbers after a colon.
 _KNOWN = {
     "en-1": _Known("English (UEB), uncontracted", "en-ueb-g1.ctb", True),
     "en-2": _Known("English (UEB), contracted", "en-ueb-g2.ctb", True),
@@ -258,7 +258,7 @@ def _tidy(text: str, code: BrailleCode) -> str:
 
 @cache
 def _excluded() -> dict[str, str]:
-    """Return the letters that Unicode excludes from composition, by decomposed form."""
+    """Map decomposed letters to the characters that Unicode excludes from composition."""
     every = map(chr, range(0x0900, 0x1000))
     return {
         parts: character

@@ -27,7 +27,7 @@ def shows_dots(grey: NDArray[np.uint8]) -> bool:
 
 
 def _dots(picture: cv2.typing.MatLike) -> NDArray[np.float64]:
-    """Return the centers, (N, 2), of dark spots; none unless most are round and of one size."""
+    """Return the centers, (N, 2), of dark spots; N is 0 unless most are round and of one size."""
     soft = cv2.GaussianBlur(picture, (0, 0), 1).astype(np.float32)
     depth = cv2.blur(soft, (31, 31)) - soft
     dark = (depth > max(4, depth.std())).astype(np.uint8)
@@ -45,13 +45,13 @@ def _dots(picture: cv2.typing.MatLike) -> NDArray[np.float64]:
 
 
 def _has_cells(dots: NDArray[np.float64]) -> bool:
-    """Return whether dots form cells: most have a neighbor, but few have two in their row."""
+    """Return whether dots form cells: most have a neighbor, few have a left and a right one."""
     if not len(dots):
         return False
     points = dots.astype(np.float32)
     distance, neighbors = cv2.batchDistance(points, points, cv2.CV_32F, normType=cv2.NORM_L2, K=9)
     steps = (dots[neighbors[:, 1:]] - dots[:, None]) @ (1, 1j) / np.median(distance[:, 1])
-    # As complex numbers, the four directions of a grid have the same fourth power.
+    # A grid's four directions are 90° apart: as complex numbers, their fourth powers agree.
     to_nearest = steps[:, 0] / abs(steps[:, 0])
     steps /= np.exp(1j * np.angle((to_nearest**4).mean()) / 4)
     right, below, left, above = ((abs(steps - 1j**k) < 0.25).any(axis=1) for k in range(4))

@@ -33,7 +33,7 @@ _SCRIPT = re.compile(
     r"((?<=[\w)])\^|(?<=(?<![^\W\d_])[^\W\d_])_|(?<=[A-Z)])_)"
     r"(\d+(?:[.,]\d+)*|[a-z](?![^\W\d_])|[-−]\d+|\((?:[^\W_]|[-−+=., ])+\))"
 )
-"""Superscript, as in 10^6 and a^(n+1), or subscript after a letter that is single or a capital."""
+"""Superscript, as in 10^6 and a^(n+1), or subscript after a single letter or a capital."""
 _SCRIPT_CELLS = re.compile("⠰?([⠔⠢])(?:(⠼[⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚]+(?:[⠂⠲][⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚]+)*)|⠣((?:(?!⠜).)+)⠜|(.))")
 _NUMBER_AT_END = re.compile("⠼[⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚⠂⠲]+$")
 _DIGIT_AT_START = re.compile("^([⠂⠲]*)(?=[⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚])")
@@ -44,7 +44,7 @@ _CAPITAL, _CAPITAL_WORD, _CAPITAL_PASSAGE, _CAPITALS_END = "⠠", "⠠⠠", "⠠
 _NUMBER, _GRADE_1, _NUMBER_SPACE = "⠼", "⠰", "⠐"
 _ONE_QUOTE_OR_QUESTION, _CLOSING_QUOTE, _ANY_QUOTE, _SURE_QUOTE = "⠦", "⠴", "⠠⠶", "⠘⠦"
 _OPENING = frozenset(" ([{<—-/‘«")
-"""At the start of a line and after these, ⠦ opens a quotation; otherwise it is a ? (Rule 7.5)."""
+"""After these signs and at a line's start, ⠦ opens a quotation. Elsewhere, it is a ? (Rule 7.5)."""
 
 _LETTER_OF = {cell: letter for letter, cell in _LETTERS.items()}
 _DIGIT_OF = {cell: digit for digit, cell in _DIGITS.items()}
@@ -230,7 +230,7 @@ def _letter(character: str) -> str:
 
 
 def _capitals(text: str) -> tuple[dict[int, str], dict[int, str]]:
-    """Return, by index of the character, the capital indicators before it and those after it."""
+    """Return two dicts of capital indicators, before and after a character, by character index."""
     before, after = {}, {}
     capital = [_is_letter(character) and character.isupper() for character in text]
     for is_capital, run in itertools.groupby(range(len(text)), capital.__getitem__):

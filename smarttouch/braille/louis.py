@@ -17,22 +17,22 @@ JOINERS = "\u200c\u200d"
 """Invisible joiners, which have cells in some codes."""
 _LIBRARIES = ("liblouis.so.20", "liblouis.so", "liblouis.20.dylib", "liblouis.dylib")
 
-_DOTS = 0x8000  # code of the blank cell in back-translation, in all versions (LOU_DOTS)
+_DOTS = 0x8000  # liblouis' code of the blank cell when it decodes cells (LOU_DOTS)
 _DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128  # values of ``translationModes`` in liblouis.h
 _LOG_OFF = 60000
 _LONGEST_NAME = 200
 """Longest name of a table, bytes. Old versions of liblouis do not check the length of names."""
 _CAPACITIES = (8, 64)  # output characters per input character: first attempt, second attempt
 _UNDEFINED = "\uf8ff"
-"""Private-use character that no table defines: its output is that of all undefined characters."""
-_ESCAPE = re.compile(r"\\([0-9A-F]*)/")  # output for an undefined cell: its dots
+"""Character that no table defines. Its output shows how a table marks undefined characters."""
+_ESCAPE = re.compile(r"\\([0-9A-F]*)/")  # output for an undefined cell: the numbers of its dots
 
 _TAG_OF = {"zh": "cmn-Hans", "cmn": "cmn-Hans", "nb": "no", "nn": "no"}
 """Language tags of liblouis that differ from common ones."""
 _PLAIN_KINDS = (" contraction:no dots:6", " contraction:no", " grade:1")
 _PLAIN_ENDS = ("-g0.utb", "-g0.ctb", "-g1.utb", "-g1.ctb", ".utb", ".ctb", ".tbl")
 _TEST_LETTERS = {"he": "אבג"}
-"""Letters that test decoding, by language; the default is abc. Hebrew tables always decode abc."""
+"""Letters of the decoding test (default: abc). Hebrew tables decode abc but maybe not Hebrew."""
 
 _lock = threading.Lock()  # liblouis has global state
 
@@ -99,7 +99,7 @@ def has_table(table: str) -> bool:
 
 def find_table(language: str) -> str | None:
     """Return the file name of the table with fewest contractions for a tag, ``pt`` or ``pt-BR``.
-    Fallbacks: tables of the language without country, and tables named after the language."""
+    If the country has no table, return a table of the language."""
     tag = _TAG_OF.get(language) or _TAG_OF.get(language.partition("-")[0]) or language
     main_language = tag.partition("-")[0].lower()
 
@@ -153,7 +153,7 @@ def _library() -> ctypes.CDLL | None:
 
 
 def _goes_both_ways(table: str) -> bool:
-    """Return whether a table also decodes cells, as its metadata or a test with letters shows."""
+    """Return whether a table also decodes cells, by its metadata or by a test with letters."""
     if _query("lou_getTableInfo", table.encode(), b"direction") != "forward":
         return True
     code, letters = LouisCode(table, goes_back=True), _TEST_LETTERS.get(language_of(table), "abc")
@@ -197,5 +197,5 @@ def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
 
 
 def _cell(dots: str) -> str:
-    """Return the cell with the given dots, as in 1256; blank if no dot is valid."""
+    """Return the cell of dots given as digits, as in 1256. Other characters are ignored."""
     return chr(ord(BLANK) | sum(1 << int(dot) - 1 for dot in dots if dot in "12345678"))
