@@ -262,6 +262,8 @@ class SimulatedObserver:
 
     def _softer(self, intervals: Sequence[Interval]) -> str | None:
         """Return the interval whose rate changes least while the finger moves (paper, III-B.2)."""
+        if any(len(interval.time_s) < 2 for interval in intervals):
+            return None
         changes = [float(np.ptp(np.diff(interval.time_s))) for interval in intervals]
         return None if math.isclose(*changes, abs_tol=1e-3) else str(1 + int(np.argmin(changes)))
 

@@ -14,6 +14,7 @@ from smarttouch.reading.recognition import Note
 _GAP = 1.35  # line distance, relative to the page's median, above which a paragraph begins
 _LARGER = 1.2  # ratio of x-heights above which two lines differ in size of print
 _INDENT = 0.8  # smallest indent of a paragraph, in x-heights
+_SAME_ROW_MM = 0.5  # largest height difference of lines that stand beside each other
 _EVEN = 0.5  # largest difference between the right ends of full lines, in x-heights
 _SHORT = 0.15  # share of free width above which a line ends early, even if lower case follows
 _OPEN = 1 / 3  # lines stay separate if at least this share ends early within a sentence
@@ -87,7 +88,8 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
             # More repeated lines mean that pages are copies of a form: remove only the page number.
             labels = [label for label in labels[:1] if "#" in label]
         steps = np.abs(np.diff([line.y_mm for line in edge]))
-        usual_mm = np.median(steps[steps > _EVEN]) if (steps > _EVEN).any() else 0.0
+        apart_mm = steps[steps > _SAME_ROW_MM]
+        usual_mm = np.median(apart_mm) if len(apart_mm) else 0.0
         while labels and not (steps[len(labels) - 1 :][:1] > _HEAD_GAP * usual_mm).any():
             labels.pop()
         for label, line in zip(labels, edge, strict=False):

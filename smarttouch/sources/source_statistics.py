@@ -20,7 +20,8 @@ def sample_source(source: Source, seconds: float) -> list[tuple[str, str]]:
         if frame is None:
             break
         frames.append(frame)
-    lasted_s = max(frames[-1].time_ns / 1e9, 1 / READ_HZ) if frames else seconds
+    # The first read is at 0 s, so the last of n reads is n - 1 periods later.
+    lasted_s = frames[-1].time_ns / 1e9 + 1 / READ_HZ if frames else seconds
     rows = [
         ("source", source.title),
         ("frames", f"{source.frames}, {source.frames / lasted_s:.1f} a second"),

@@ -339,9 +339,10 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
             slots = len(plain) if slots is None else slots
             fits = len(plain) == slots
         if not fits:
+            rows = f" and {slots} rows" if of_slots and slots is not None else ""
             raise SafetyError(
                 f"{name} is {plain.dtype} {plain.shape}, must be {kind} with {dimensions} "
-                f"dimension(s) for {slots} slots",
+                f"dimension(s){rows}",
                 limit=name,
             )
         fields[name] = np.frombuffer(plain.tobytes(), kind).reshape(plain.shape)
