@@ -14,6 +14,8 @@ from ..boards.fresh import fresh_state, until
 from ..support.processes import PROGRAM, Forked
 from .conftest import refused, says
 
+pytestmark = pytest.mark.realtime
+
 FULL = "--force fixed:1 --intensity 1"
 KITS = {
     "kajimoto61": (61, "kajimoto61"),
@@ -46,7 +48,6 @@ def state_of(books):
     return read_state(books)
 
 
-@pytest.mark.realtime
 @on(*KITS)
 def test_live_end_to_end_ends_in_zero(program_here, kit):
     url, books = kit
@@ -81,7 +82,6 @@ def test_info(program_here, kit):
     assert state_of(kit[1])["slots"] == 0
 
 
-@pytest.mark.realtime
 @on("etactilekit")
 def test_a_walk_through_the_electrodes(program_here, kit):
     url, books = kit
@@ -122,7 +122,6 @@ def test_a_key_goes_on_to_the_next_electrode_and_q_ends_it():
     os.close(keyboard)
 
 
-@pytest.mark.realtime
 @on("etactilekit")
 def test_stop(program_here, kit):
     program_here("stop", kit[0]).fine()

@@ -15,6 +15,8 @@ from smarttouch.running.recording import RecordedRun
 from ..boards.fresh import starter, until
 from ..support.full import WHOLE, sample
 
+pytestmark = pytest.mark.realtime
+
 PATIENCE_S = 60
 SOURCE = Path(__file__).with_name("programs.py")
 REFUSED = dict.fromkeys(("again", "another", "another run"), "BoardStoppedError")

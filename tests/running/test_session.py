@@ -182,6 +182,7 @@ def in_a_loop(coroutine):
         return pool.submit(asyncio.run, coroutine).result()
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("url", ["memory:", "simulated:"])
 def test_the_displays_of_a_hand_begin_together(url):
     profiles = sample(["electric-mouse", "electric-mouse", "smarttouch-4x4", "electric-mouse"])
