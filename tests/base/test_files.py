@@ -184,7 +184,7 @@ def test_folders_are_for_their_owner_alone(tmp_path, umask):
 
 
 def test_a_lock_on_a_file_that_was_removed_keeps_nobody_out(tmp_path, monkeypatch):
-    """If the holder removes the file before it is locked, a new file is opened and locked."""
+    """A file that was removed between opening and locking is replaced by a new, locked file."""
     path, flock = tmp_path / "lock", module.fcntl.flock
     path.write_bytes(b"old")
     removed = []
