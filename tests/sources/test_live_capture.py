@@ -136,7 +136,7 @@ def test_errors_of_the_thread_reach_the_reader(profile, error, attributes):
 
 
 def test_unplugged_and_plugged_in_again(profile):
-    """A device has returned when it gives an image, not when it can be opened."""
+    """A device counts as returned when it gives an image, not when it can be opened."""
     now = [0]
 
     def later():

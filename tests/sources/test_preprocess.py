@@ -43,7 +43,7 @@ def look(blots):
 
 
 def follow(tracker, *images):
-    """Give images to a tracker; return the motion from the last but one to the last, mm."""
+    """Give images to a tracker; return the motion between the last two images, mm."""
     for image in images:
         motion = tracker.follow(image)
     return motion

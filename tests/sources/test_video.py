@@ -35,7 +35,7 @@ def write_clip(path, images, rate_hz=200.0, codec="MJPG"):
 
 
 def clip_of_levels(count, rate_hz):
-    """Return a clip of images whose gray level is their number, and a list of decoded numbers."""
+    """Return a clip whose image n has gray level n, and the list of images decoded so far."""
     decoded = []
 
     def image(number):
@@ -104,7 +104,7 @@ def test_a_video_at_its_pace(profile, write_video):
     assert [frame.number for frame in frames] == [5 * count // 2 for count in range(16)]
     assert [frame.age_ns for frame in frames[:3]] == [0, 2_500_000, 0]
     assert (sensor.frames, sensor.dropped_frames) == (40, 23)
-    # Motion is also measured in dropped images.
+    # The position includes the motion in dropped images.
     pixel_mm = profile.optics.field_width_mm / 64
     assert frames[-1].pose.x_mm == pytest.approx(2 * 37 * pixel_mm, rel=0.02)
 

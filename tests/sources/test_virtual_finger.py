@@ -30,7 +30,7 @@ HEADER = "time_s,x_mm,y_mm,angle_deg,force_n\n"
 
 
 def at(path, time_s):
-    """Return the pose and the force of a path at a time."""
+    """Return the pose and the force of a path at ``time_s``."""
     *pose, force_n = (np.interp(time_s, path.table[0], row) for row in path.table[1:])
     return Pose(*pose), force_n
 
