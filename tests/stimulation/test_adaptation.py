@@ -180,7 +180,7 @@ def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
         if profile.output.kind != "weighted":
             assert np.array_equal(sent.state, asked.state), "an electrode was switched off"
         if hold == "charge" and asked.slots:
-            # Rounding of widths changes charge by at most 0.5 µs of current, unless limited.
+            # Rounding a width changes charge by at most 0.5 µs × current; the width limit, by more.
             apart = np.abs(charges_uc(sent) - charges_uc(asked)) * 1e6
             most_us = np.minimum(200, 500_000 // np.maximum(less.max(axis=1), 1))
             assert np.all((apart <= less.max(axis=1) / 2 + 1) | (sent.width_us >= most_us))

@@ -153,7 +153,7 @@ def test_what_can_be_brought_back_is_but_for_less_than_a_microampere(scan, most_
     assert (left_pc * np.sign(net_pc) >= 0).all()
     if planned.recharge_us:
         assert np.abs(left_pc).sum() <= 2 * scan.electrodes * planned.recharge_us
-        # The phase is as short as possible: 1 µs less would need a current above the limit.
+        # The recharge phase is as short as possible: 1 µs less would break the current limit.
         assert np.abs(net_pc).max() > (planned.recharge_us - 1) * most_ua
 
 
@@ -171,7 +171,7 @@ def test_the_numbers_of_one():
 
 def test_one_that_does_not_fit_makes_the_period_longer():
     planned = add_recharge(sequence(ONE, period_us=1000), NOTHING, rules(120))
-    # The period follows from the duty limit of 0.8; slots, phase and short circuits need less.
+    # The duty limit of 0.8 sets the period; pulse and recharge alone would need less time.
     assert planned.period_us == 2334 == -(-(200 + 1667) * 5 // 4)
     whole = rules(60, timing=ScanTiming(whole_hz=True))
     # Current for 200 + 3334 µs needs a period of 4417.5 µs; the largest integer rate is 226 Hz.

@@ -1,4 +1,4 @@
-"""The gate refuses sequences beyond a limit, and the ramp permits each strength that it plans."""
+"""The gate refuses sequences beyond a limit; its ramp permits each planned strength."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -48,7 +48,7 @@ def changed(**fields):
 
 
 def test_one_source_drives_no_more_than_one_electrode_may_carry():
-    """If the others lose contact, a single electrode carries the complete current of the source."""
+    """If the other electrodes lose contact, one electrode carries all current of the source."""
     shared, strong = [[1300, 1300, -1300, -1300]], [[1600, 1600, -1600, -1600]]
     limits = dataclasses.replace(LIMITS, total_ma=10.0, electrode_ma=None)
     for current, width, limit in ((shared, 200, "charge_uc"), (strong, 50, "total_ma")):
@@ -252,7 +252,7 @@ def test_a_restart_begins_at_zero_without_current(now_ns):
     (20, [0.04, 0.08, 0.12, 0.16]), (50, [0.04, 0.14, 0.24, 0.34]), (500, [0.04, 0.2, 0.36, 0.52]),
 ])  # fmt: skip
 def test_planned_steps_are_as_long_as_pulses_flow(period_ms, planned):
-    """Planned steps are the ramp's rise in 20 ms, then in one period, but at most in 80 ms."""
+    """The first step is the rise in 20 ms; later steps are the rise in one period, up to 80 ms."""
     ramp, found, now_ns = begun(), [], 10**9
     for _ in planned:
         found.append(ramp.allowed_level(now_ns))
@@ -273,7 +273,7 @@ def test_a_sequence_that_is_still_to_be_written_lowers_what_is_planned():
     ramp, now_ns = opened()
     ramp.claim(PPB // 2, PPB // 2, now_ns)
     assert ramp.allowed_level(now_ns) == pytest.approx(0.5 + STEP_NS / RAMP_NS)
-    # A sequence without current, as after a lifted finger, lowers the plan, too.
+    # After a sequence without current (finger lifted), plans restart at the first step.
     ramp.claim(0, 0, now_ns)
     assert ramp.allowed_level(now_ns) == pytest.approx(STEP_NS / RAMP_NS)
 

@@ -175,7 +175,7 @@ def natural_image():
 
 
 def test_classes_that_are_due_together_follow_one_another(profile, bank):
-    """The slots of RA come first, then those of SAI, unchanged from sequences of a single class."""
+    """The sequence has the slots of an RA sequence, then those of an SAI sequence, unchanged."""
     both = (Afferent.RA, Afferent.SAI)
     joined = ScanScheduler(profile, bank, both).schedule(natural_image(), 0.7)
     first, second = (
@@ -262,14 +262,14 @@ def test_no_second_has_more_than_its_net_charge(seed):
         next_us = plan.next_period_us(net_pc, time_us, period_us, period_us // 2)
         if next_us is not None:
             sent.append((time_us + period_us // 2, net_pc))
-        # The limit holds for any number of the latest passes of the last second.
+        # Sum the net charges of the last pass, the last two and so on: each sum keeps the limit.
         kept = [net_pc for end_us, net_pc in reversed(sent) if end_us > time_us - 1_000_000]
         assert np.abs(np.cumsum(kept, axis=0)).max(initial=0) <= NET_PC
         time_us += math.ceil(next_us or period_us)
 
 
 def planned(rate_hz, net_pc, wanted, seconds=6.0):
-    """Return the times of passes and their periods, µs, and the number of omitted passes."""
+    """Return the start times and periods of passes, µs, and the number of omitted passes."""
     plan, time_us, period_us = NetPlan(1), 0.0, round(1e6 / rate_hz)
     each_pc = np.array([float(net_pc)])
     times, periods, left_out = [], [], 0
@@ -299,9 +299,8 @@ def test_pauses_are_short_and_no_longer_than_net_charge_requires(rate_hz, net_pc
 
 
 @pytest.mark.parametrize(("net_pc", "wanted"), [
-    # every fifth frame, as when ridges pass under a finger; trains of 0.4 s each second
-    (1_200_000, lambda time_us: int(time_us // 10_000) % 5 == 0),
-    (480_000, lambda time_us: time_us % 1_000_000 < 400_000),
+    (1_200_000, lambda time_us: int(time_us // 10_000) % 5 == 0),  # every fifth frame of 10 ms
+    (480_000, lambda time_us: time_us % 1_000_000 < 400_000),  # 0.4 s of each second
 ])  # fmt: skip
 def test_what_pauses_by_itself_keeps_its_rate(net_pc, wanted):
     _, periods, left_out = planned(100, net_pc, wanted)

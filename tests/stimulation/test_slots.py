@@ -141,7 +141,7 @@ def test_where_nothing_is_proved_points_are_shown_one_by_one(profile, bank, made
     assert found.site.tolist() == alone.site[order].tolist()
     assert found.current_ua == pytest.approx(alone.current_ua[order], abs=40)
     assert found.proof.off_target == pytest.approx(bank.off_target[Afferent.SAI][:10], rel=0.02)
-    # Values are relative to level 1. Activation 0.2 is level 0.6, which is divided by `_aim`, 0.96.
+    # Activation 0.2 needs 0.6 of level 1; levels below 1 are divided by `_aim`, 0.96.
     faint = made[Afferent.SAI].slots(activation * np.float32(0.2), 1.0)
     assert faint.proof.off_target == pytest.approx(0.6 / 0.96 * found.proof.off_target, rel=1e-3)
 
