@@ -119,7 +119,7 @@ def problem():
 
 @pytest.mark.parametrize("afferent", list(Afferent))
 def test_symmetry_gives_what_solving_each_site_gives(changed, afferent):
-    """Only problems of RA have quarter turns, whose inverse is another symmetry."""
+    """A kernel copied by symmetry equals a kernel designed at its own site."""
     coarse = changed(load_profile("smarttouch-4x4"), {"skin.node_spacing_mm": 0.25})
     problem = Problem(coarse, afferent)
     assert problem.representative(15)[0] == 0
@@ -132,7 +132,7 @@ def test_symmetry_gives_what_solving_each_site_gives(changed, afferent):
 
 
 def test_measured_impedances_hold_at_every_site(changed):
-    """Electrodes of other impedances would divide the current of a mirrored kernel differently."""
+    """At every site, the electrodes of a pole carry current in proportion to their admittance."""
     impedance = [1.0, 3.0, 0.5, 2.0, 1.0, 0.7]
     keys = {"array.rows": 2, "array.columns": 3, "output.impedance_kohm": impedance}
     keys["skin.node_spacing_mm"] = 0.5
@@ -191,7 +191,7 @@ def test_a_confined_bank_is_that_of_masked_arrays(grid, changed, tmp_path, monke
         assert judged.off_target == pytest.approx(best.off_target, rel=1e-6)
     for weights in bank.weights.values():
         assert np.abs(weights.sum(axis=1)).max() < 1e-12
-    # The stored bank is found again, but not by a profile whose kernels may drive all electrodes.
+    # The bank is found for its own profile, but not if kernels may drive all electrodes.
     monkeypatch.setattr("platformdirs.user_cache_path", lambda _: tmp_path)
     write_bank(tmp_path / f"{problem_hash(profile)}.npz", profile, bank)
     assert find_bank(profile) is not None
@@ -305,7 +305,7 @@ def test_a_ring_that_breaks_a_limit_is_not_chosen():
 
 @pytest.mark.parametrize("afferent", list(Afferent))
 def test_no_shipped_kernel_shares_a_source_between_all_poles(afferent):
-    """One pole is a single electrode: of several, the last in contact would carry all current."""
+    """One pole of each kernel is a single electrode, which carries the full current."""
     profile = load_profile("smarttouch-4x4")
     weights = load_bank(profile).kernels(afferent)
     assert np.abs(weights).sum(axis=1) / 2 == pytest.approx(np.abs(weights).max(axis=1))

@@ -32,7 +32,7 @@ from ..support.full import WHOLE, sample
 
 @pytest.fixture(scope="module")
 def make_operator(profile, bank, changed):
-    """Return a function that makes the operator of a class, with the node spacing of proofs."""
+    """Return a function that makes the `FrameOperator` of a class, with nodes 0.5 mm apart."""
     made, profile = {}, changed(profile, {"skin.node_spacing_mm": 0.5})
 
     def make(afferent):
@@ -121,7 +121,7 @@ def test_sets_are_as_large_as_can_be_proved(make_operator):
     sets = proved_sets(make_operator(Afferent.RA).judge, bounds)
     assert [len(each.sites) for each in sets] == [16] * 4
     assert sorted(np.concatenate([each.sites for each in sets])) == list(range(64))
-    # Tighter bounds allow only sets of sparser sites, or none.
+    # With tighter bounds, there are more sets with fewer sites, or there are no sets.
     assert len(proved_sets(make_operator(Afferent.RA).judge, FrameBounds(other=0.15))) == 9
     assert proved_sets(make_operator(Afferent.RA).judge, FrameBounds(other=0.05)) == []
     assert proved_sets(make_operator(Afferent.SAI).judge, bounds) == []

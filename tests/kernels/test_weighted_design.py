@@ -53,7 +53,7 @@ def test_pc_cannot_be_selected_and_is_symmetric(line):
     kernel = design_kernel(problem, 3, given_up=0)
     assert kernel.off_target == pytest.approx(3.04, abs=5e-4)
     assert kernel.weights == pytest.approx(kernel.weights[::-1], abs=1e-9)
-    assert kernel.off_target_class is Afferent.RA, "of two equal classes, name the first"
+    assert kernel.off_target_class is Afferent.RA, "RA and SAI are equal: expected the first"
     assert (problem.axon(3) @ kernel.weights).max() == pytest.approx(1, abs=1e-6)  # paper, Eq. 11
 
 
@@ -83,7 +83,7 @@ def test_a_simplex_that_runs_in_circles_gives_way(line, monkeypatch):
 
 
 def test_a_kernel_that_could_be_mirrored_is_not(profile, changed):
-    """Of two equally good PC kernels, mirrored at the site, the one nearer the middle is chosen."""
+    """Each solver returns the same PC kernel, although its mirror image is equally good."""
     problem = Problem(changed(profile, {SPACING: 0.5}), Afferent.PC)
     usual = design_kernel(problem, 27).weights
     for options in sample(METHODS):
@@ -196,12 +196,12 @@ def test_around_a_masked_electrode_it_is_the_best_of_what_is_left(line, changed,
 
 
 def optimum(problem, site, spill=0.2, given_up=None):
-    """Return the smallest off-target of a site, computed with scipy's linprog and all rows.
+    """Return the smallest off-target of a site, from a linear program with all rows of the problem.
 
     The linear program shares no code with the package. Its variables are the maximum t, weights w
     and, if the total is limited, magnitudes of w. If the spill bound cannot be kept, t is the
-    larger of off-target and spill. With ``given_up``, a relative increase of off-target, return
-    the smallest spill that this increase allows."""
+    larger of off-target and spill. If ``given_up`` is given, off-target may rise by this share of
+    its smallest value; return the smallest spill instead."""
     total, _ = limits_ma(problem.profile)
     count = problem.electrodes
     magnitudes = count if np.isfinite(total) else 0
@@ -212,7 +212,7 @@ def optimum(problem, site, spill=0.2, given_up=None):
     free = [(None, None) if each in problem.profile.driven else (0, 0) for each in range(count)]
 
     def minimum(other_most=None, own_most=None):
-        """Minimize off-target or spill, whichever has no bound; the larger, if neither has one."""
+        """Minimize the larger of off-target and spill, or only the one that has no bound."""
         upper, bound = [], []
         for rows, most in (
             (problem.other, other_most),
