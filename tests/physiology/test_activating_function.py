@@ -37,8 +37,8 @@ def test_shape_and_sign_at_the_target(name, afferent):
     count = len(profile.electrodes)
     assert matrix.shape == (count, count)
     own = np.diag(matrix) * (-1 if afferent is Afferent.RA else 1)
-    # In the hole of a ring, signs are reversed down to 0.7 of its radius: on the axis, the second
-    # derivative of 1/√(r² + z²) changes sign at z = r/√2.
+    # Under the hole of a ring, signs are reversed to a depth of 0.7 radii: on the ring's axis, the
+    # second derivative of 1/√(r² + z²) changes sign at z = r/√2.
     rings = [which for (shape, _), which in profile.electrodes.kinds.items() if shape == "annulus"]
     for which in rings:
         assert np.all(own[which] < 0)
@@ -47,7 +47,7 @@ def test_shape_and_sign_at_the_target(name, afferent):
 
 
 def test_the_paper_s_own_matrix():
-    """The row of the SAI target under the middle of seven lines follows Eq. 3, 5 and 9."""
+    """The AF of seven lines at the middle SAI target follows Eq. 3, 5 and 9 of the paper."""
     profile = load_profile("line-7")
     row = af_matrix(profile, targets(profile, Afferent.SAI))[3]
     x = np.arange(-3, 4)
@@ -124,7 +124,7 @@ def test_a_ring_s_potential_is_that_of_its_field(profile, changed, depth_mm):
 
 
 def test_paper_nodes_run_from_minus_five_to_five():
-    """Nodes reach two pitches beyond the outer lines, one per pitch for RA, ten for the others."""
+    """Nodes reach two pitches beyond the outer lines. A pitch has 1 RA, 10 SAI or 10 PC nodes."""
     profile = load_profile("line-7")
     for afferent, apart_mm in zip(Afferent, (1.0, 0.1, 0.1), strict=True):
         nodes = everywhere(profile, afferent)

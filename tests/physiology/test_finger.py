@@ -139,7 +139,7 @@ def test_what_is_wrong_with_an_anatomy(tmp_path, small):
 
 @pytest.mark.parametrize("afferent", sample([Afferent.RA, Afferent.SAI]))
 def test_thresholds_of_bent_branches_that_no_fit_has_seen(profile, bank, afferent):
-    """Axon paths of a branched finger under kernels have the thresholds of the cable model."""
+    """On the axon paths of a finger, driving functions give the thresholds of the cable model."""
     one = Finger(profile, 1, "branched").populations[afferent]
     like = replace(FIBERS["fingertip"], end="passive")
     ending = one.axon_path_mm[:, 0, :2]
@@ -272,6 +272,6 @@ def test_a_list_is_one_stretch_of_time(mouse, steps):
     for step, spikes in zip(steps, feeling.spikes, strict=True):
         alone = model.fire(step.sequence)
         np.testing.assert_array_equal(spikes.time_us, alone.time_us)
-        # Allow 2 differences, because rounding differs between matrix products of other sizes.
+        # Matrix products of different sizes round differently, so allow 2 differences.
         assert np.count_nonzero(spikes.fired != alone.fired) <= 2
     np.testing.assert_array_equal(feeling.counts, mouse.feel(steps, seed=3).counts)

@@ -185,7 +185,7 @@ def test_potentials_add_up_and_a_constant_counts_for_nothing(fiber, end, width_u
 @pytest.mark.parametrize(("fiber", "end"), [each for each in OFFERED if each[0] != "mrg"])
 @pytest.mark.parametrize("width_us", sample([150.0, 100.0, 200.0], 3))
 def test_thresholds_of_the_cable_under_a_disc(fiber, end, width_us):
-    """Driving functions agree with the cable at places, and a width, that were not fitted."""
+    """Driving functions agree with the cable model at places that the fit did not use."""
     like = replace(FIBERS[fiber], end=end)
     potentials = np.array(
         [s * under_a_disc(like, d, b) for d in (0.6, 1.1, 1.8) for b in (0.2, 0.7) for s in (1, -1)]
