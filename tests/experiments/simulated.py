@@ -93,8 +93,8 @@ class SimulatedSubject:
     """Participant who presses a key at the threshold of one electrode, then at its comfort level.
 
     Every 0.5 s the participant compares the current with the next of these two levels. `slope` is
-    the standard deviation of both in natural logarithms, `guess` the rate of false detections,
-    `lapse` the rate of misses, and `drift` the relative rise of both in a minute of stimulation.
+    the standard deviation of a level in natural logarithms, `guess` the rate of false detections,
+    `lapse` the rate of misses, and `drift` the relative rise of the levels per minute.
     A key follows a detection after `reaction_s`, with a standard deviation of about 25 %.
     """
 
@@ -163,7 +163,7 @@ class Silent:
 
 
 class Sat(SimpleNamespace):
-    """Result of an experiment: source, rows, figures, and time and text of each event."""
+    """Result of an experiment: source, rows, figures, and events, each with its time and text."""
 
     def events(self, start):
         """Return the texts of the events that begin with ``start``."""

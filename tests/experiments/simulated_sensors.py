@@ -78,7 +78,7 @@ _INK_LEVEL = 0.15  # reflectance of black print
 class View:
     """Camera above a page: pose, optics and light."""
 
-    # tilt_deg: angle of the line of sight to the page's normal; toward_deg: axis of this tilt
+    # tilt_deg: angle between line of sight and page normal; toward_deg: direction of the tilt axis
     tilt_deg: float = 0.0
     toward_deg: float = 0.0
     turn_deg: float = 0.0  # rotation about the line of sight

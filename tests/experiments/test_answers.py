@@ -179,7 +179,7 @@ def test_our_own(tmp_path):
         assert each.interval.tolist() == [1, 2, 1]
         assert each.alternatives == 2
         assert (each.presented, each.answered) == (3, 2)
-        # Success with the comparison in interval 1, failure in interval 2: both times 1 was chosen.
+        # Interval 1 was chosen twice: correctly in the first trial, wrongly in the second.
         assert each.chosen() == (2, 0)
         assert [part.tolist() for part in each.counts()] == [[39], [2], [1]]
 

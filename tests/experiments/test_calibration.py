@@ -61,7 +61,7 @@ def test_nothing_is_overwritten_unless_requested(tmp_path):
     mine.write_text("what was there")
     with raises(CalibrationError, value=mine):
         ProfileFile("electric-mouse", mine)
-    # A file that appeared after this check is not overwritten either.
+    # A file that was created after `ProfileFile` had checked the path is not overwritten.
     late = ProfileFile("electric-mouse", tmp_path / "late.toml")
     (tmp_path / "late.toml").write_text("came meanwhile")
     with raises(CalibrationError, value=tmp_path / "late.toml"):
@@ -316,7 +316,7 @@ def test_readings_that_are_none(readings):
 
 
 def nonsense():
-    """Yield name, weights in g, reading for a weight, and attributes of the expected error."""
+    """Yield a name, weights in g, a map of weight to reading, and attributes of the error."""
     line = {0: 0, 20: 2e4, 50: 5e4, 100: 1e5}
     yield "nothing moves", UP, lambda g: 5.0, {"value": 0, "allowed": 0}
     noisy = {"value": 0, "allowed": lambda noise: noise > 15}

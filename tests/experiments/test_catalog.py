@@ -176,7 +176,7 @@ def test_sites_are_whole_numbers_and_activations_are_not(changed):
 
 
 class Counts:
-    """Observer that names the interval with fewer pulses, as a gap removes pulses."""
+    """Observer that names the interval with fewer pulses, because a gap removes pulses."""
 
     def respond(self, task, intervals, alternatives):
         return alternatives[int(np.argmin([len(each.time_s) for each in intervals]))]

@@ -52,7 +52,7 @@ def test_any_answers_give_estimates_in_their_intervals_that_rise_with_the_share(
 
 
 def test_two_points_by_hand():
-    """Shares of 1/4 at 0 and 3/4 at 2 give midpoint 1 and spread 1 / z, z = quantile of 3/4."""
+    """Shares of 1/4 at 0 and 3/4 at 2 give midpoint 1 and spread 1 / z: norm.cdf(z) is 3/4."""
     z = norm.ppf(0.75)
     model = Model(guess=0.0, logarithmic=False, most_lapses=0.0)
     found = fit(counts_of([0, 2], [2000, 2000], [500, 1500]), model)
@@ -60,7 +60,7 @@ def test_two_points_by_hand():
     assert found.parameters.spread[0] == pytest.approx(1 / z, rel=0.01)
     assert found.bounded(0.75).value == pytest.approx(2.0, abs=0.02)
     assert found(np.array([0.0, 1.0, 2.0])) == pytest.approx([0.25, 0.5, 0.75], abs=0.01)
-    # Standard error of one quantile, then of the mean of two, in units of the stimulus.
+    # Standard error of the midpoint, which is the mean of the two quantiles, in stimulus units.
     deviation = math.sqrt(0.25 * 0.75 / 2000) / norm.pdf(z) / math.sqrt(2) / z
     half = (found.bounded(0.5).high - found.bounded(0.5).low) / 2
     assert half == pytest.approx(1.96 * deviation, rel=0.05)
@@ -190,7 +190,7 @@ def test_which_model():
 
 
 def test_two_modes_in_a_figure(tmp_path):
-    """The figure has the thresholds of a good participant, and none for one who guesses."""
+    """The figure shows the thresholds of a good participant, but none of one who only guesses."""
     good = Subject(36.0, 0.25).probability
     procedure = constant_stimuli(ratio_pairs([30.0]), 30)
     answers = answer_all(procedure, good, 3), session(lambda each, n: n % 2 == 0, 60.0)

@@ -54,7 +54,7 @@ def test_unanswered_trials_come_again_once(missed, missed_again):
 
 
 def test_steps_by_hand():
-    """Factors are 1/4 after success and 64 after failure; from the second reversal, 1/2 and 8."""
+    """Success divides the comparison by 4, failure multiplies it by 64. Later factors: 2 and 8."""
     procedure = weighted_staircase(16.0, 1.0, 256.0, 1.0)
     answers = [True, True, False, True, True, False, True]
     shown = [next(procedure), *map(procedure.send, answers)]
@@ -121,7 +121,7 @@ AS_USED = {
 
 
 def draw_subject(task, random):
-    """Return a participant with random lapse rate and Weber fraction (8 to 40 %) or threshold."""
+    """Return a participant with a random lapse rate and a random Weber fraction or threshold."""
     lapse = random.uniform(0, 0.05)
     if task == "discrimination":
         weber = np.exp(random.uniform(np.log(0.08), np.log(0.4)))

@@ -43,7 +43,7 @@ from .simulated import SimulatedSubject
 
 @pytest.fixture
 def begun(tmp_path):
-    """Return a function that opens the results file, after closing it if it is open."""
+    """Return a function that opens the results file, or closes and reopens an open file."""
     open_ones = []
 
     def begin():
@@ -347,7 +347,7 @@ def test_bias_and_spread_over_many_subjects(kind):
         found = rise(subject, seed=seed)
         rising.append(found.threshold_ma / threshold - 1)
         comfort.append(found.comfort_ma / strongest - 1)
-    # Measured: threshold bias −3 to +7 %, spread 4 to 9 %; comfort bias −11 to +2 %, 3 to 9 %.
+    # Measured bias: thresholds −3 to +7 %, comfort levels −11 to +2 %. Spread: at most 9 %.
     assert abs(np.mean(rising)) < 0.1
     assert np.std(rising) < 0.11
     assert -0.13 < np.mean(comfort) < 0.03
