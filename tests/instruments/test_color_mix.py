@@ -1,4 +1,4 @@
-"""Mixtures: each class gets pulses at its own rate, with the drive of its receptors."""
+"""In a mixture of classes, each class has its own pulse rate and its own strength."""
 
 import numpy as np
 import pytest
@@ -160,7 +160,7 @@ def test_a_note_says_what_pc_costs_unless_a_vibrator_plays_it(profile, bank):
     source = open_vibration("tone:250Hz,1.5um", profile, seconds=0.5)
     (note,) = source.notes
     assert numbers_in(note) == [pytest.approx(bank.off_target[Afferent.PC].max(), abs=0.05)]
-    # Check the number in the note: this PC kernel activates RA more strongly than PC.
+    # This PC kernel activates RA more strongly than PC, but less than the note states.
     kernel = bank.weights[Afferent.PC][35]
     assert bank.receptor[Afferent.PC][35] @ kernel == pytest.approx(1, rel=1e-5)
     assert 1 < (bank.receptor[Afferent.RA] @ kernel).max() < numbers_in(note)[0]
@@ -181,8 +181,8 @@ ALONE = {
     Afferent.SAI: ("press:0.45N", 25.0),
     Afferent.PC: ("tone:250Hz,1.5um", 125.0),
 }
-"""Trace to which only this class responds, and its pulse rate, Hz: RA at every cycle, PC at every
-second cycle, SAI at half of its full rate for half of the full force."""
+"""For each class, a trace to which only this class responds, and its pulse rate, Hz. RA has one
+pulse per cycle, PC one per two cycles. Half of the full force gives SAI half of its full rate."""
 LEVEL = 0.25
 """Intensity at which the limit of net current still allows PC pulses at 125 Hz."""
 

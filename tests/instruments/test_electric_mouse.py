@@ -116,7 +116,7 @@ def test_at_rest_nothing_is_felt(mouse):
         jumps = count_mm * random.integers(-1, 2, (1000, 2))
         source = MouseSource(texture, Played([(0, 0), *jumps], count_mm), mouse, press_n=1.0)
         assert pulses(source).sum() == 0
-        # The same holds after the hand has moved and come to rest.
+        # Jitter evokes no pulse after the hand has moved and come to rest.
         there = [(0.4 * k, 0.1 * k) for k in range(100)]
         way = [*there, (39.6, 9.9), (39.6, 9.9), *(jumps + np.array([39.6, 9.9]))]
         source = MouseSource(texture, Played(way, count_mm), mouse, press_n=1.0)

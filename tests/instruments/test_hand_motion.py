@@ -162,7 +162,7 @@ def test_counts_become_millimeters_until_the_mouse_is_pulled_out(device):
         assert motion.notes == []
         device.latest.play((0, 3, 0), (0, 3, 0), (2, 1, 404))
         until(lambda: motion.read(0) == pytest.approx((1.0, 20.0)))
-        assert len(motion.notes) == 1, "a single note reports both losses"
+        assert len(motion.notes) == 1, "expected one note for two losses of events"
         device.latest.pull_out()
         with raises(SourceLostError, value=device.place):
             until(lambda: motion.read(0) is None)

@@ -18,7 +18,7 @@ from .conftest import grating_file, object_file
 
 ONE = np.zeros((1, 2))
 SCALE = "dpi or "
-WIDE_MM = 20.0  # grain at which motion along the ridges evokes no pulses
+WIDE_MM = 20.0  # value of `grain_mm` at which motion along ridges evokes no pulses
 
 
 @given(
@@ -36,7 +36,7 @@ def test_ridges_of_a_grating_are_where_they_are(pitch, angle, ways):
     before = np.floor(position @ unit / pitch)
     for x, y in ways:
         phase = (position + np.array([x, y])) @ unit / pitch
-        # Skip places on a ridge: there rounding decides on which side they are.
+        # Skip places on a ridge, because rounding decides on which side of the ridge they are.
         assume((np.abs((phase + 0.5) % 1 - 0.5) > 1e-6).all())
         height, merged = feeler.move(x, y)
         ridges = np.abs(np.floor(phase) - before)
@@ -58,7 +58,7 @@ def test_a_grating_is_drawn_where_it_is_felt():
 
 
 def crests(texture, start, step, count, electrodes=ONE):
-    """Move in steps; return x and y of each pulse, mm, and the height of the ground, (N, 3)."""
+    """Move in steps; return x and y in mm and the texture's height at each pulse, (N, 3)."""
     feeler = texture.feeler(electrodes)
     place = np.array(start, float)
     feeler.place(*place)
@@ -91,7 +91,7 @@ def test_along_its_ridges_a_grating_with_a_wide_grain_is_silent(tmp_path):
 
 
 def test_an_area_is_felt_all_over(tmp_path):
-    """Pulses come half a grain inside the edge of an area, and then after each grain of motion."""
+    """By default, the first pulse is 1 mm inside an area's edge; a pulse every 2 mm follows."""
     texture = open_texture(str(object_file(tmp_path / "o.png", "disc")))
     found = crests(texture, (20, 20), (0.1, 0), 400)
     assert found[:, 0] == pytest.approx([36, 38, 40, 42, 44], abs=0.25)

@@ -104,7 +104,7 @@ def test_any_text_is_a_trace_or_refused(text):
 
 
 SILENT = 0.01
-"""Largest drive of a class that counts as silent."""
+"""Largest drive at which a class counts as silent."""
 
 
 def drives(spec, seconds=2.0):
