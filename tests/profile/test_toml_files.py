@@ -246,14 +246,14 @@ def test_shipped(name):
     assert len(profile.electrodes) == ELECTRODES[name] == len(profile.threshold_ma)
     assert len(profile.driven) == ELECTRODES[name]
     distance = profile.electrodes.distance_mm + np.eye(ELECTRODES[name]) * 1e9
-    # Ring and disc have the same center: the pitch is the mean radius of the ring's metal.
+    # The ring and the disc have the same center, so the pitch is the ring's mean radius.
     nearest_mm = (8 + 6) / 4 if name == "concentric" else distance.min()
     assert profile.electrodes.pitch_mm == pytest.approx(nearest_mm)
     assert profile.electrodes.position_mm.mean(axis=0) == pytest.approx([0, 0])
 
 
 def test_hexagon_order_is_the_board_s():
-    """The index increases with falling x and falling y (y up), from (.5, .866) to (-.5, -.866)."""
+    """Electrode 0 is at the top right corner, 30 in the middle, 60 at the bottom left corner."""
     electrodes = load_profile("kajimoto-61").electrodes
     unit = electrodes.position_mm / (4 * electrodes.pitch_mm) * [1, -1]
     assert unit[0] == pytest.approx([0.5, math.sqrt(3) / 2])
