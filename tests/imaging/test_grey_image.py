@@ -204,7 +204,7 @@ def test_colors_that_nobody_sees_do_not_count():
 @pytest.mark.parametrize("light", [True, False])
 @pytest.mark.parametrize("around", [4, 200])
 def test_a_picture_with_print_goes_on_around_itself(light, around):
-    """A transparent frame around a window gets the window's background, at any width."""
+    """A transparent border of any width gets the background of the picture inside."""
     window = np.dstack([PRINT if light else INK] * 3 + [np.full_like(PRINT, 255)])
     grey = GreyConverter().convert(np.pad(window, ((around, around), (around, around), (0, 0))))
     assert (grey[:around] == (255 if light else 0)).all()
@@ -222,7 +222,7 @@ def test_frames_stay_comparable():
 
 
 def test_frames_keep_their_ground():
-    """The background of the first frame also applies to a frame that is mostly print."""
+    """The second frame is mostly print; the background of the first frame is still used."""
     converter = GreyConverter()
     for alpha, grey in ((INK, PRINT), (PRINT, INK)):
         clear = np.dstack([np.zeros_like(INK), alpha])

@@ -75,7 +75,7 @@ def test_an_upright_homography_is_field_rotation_and_offset(name, shape):
     optics = changed(profile, rotation_deg=12.0, offset_x_mm=0.3, offset_y_mm=-0.2)
     shape = shape or (optics.sensor_rows, optics.sensor_columns)
     plain = Registration(profile.electrodes, optics, shape)
-    # A homography replaces rotation and offset, so wrong values must have no effect.
+    # A homography replaces rotation and offset, so wrong rotation and offset have no effect.
     wrong = {"rotation_deg": -90.0, "offset_x_mm": 9.0, "offset_y_mm": 9.0}
     by_matrix = Registration(profile.electrodes, flat(optics, **wrong), shape)
     assert by_matrix.working_shape == plain.working_shape

@@ -48,7 +48,7 @@ def test_exactly_the_part_asked_for_is_enough(profile):
 
 
 def test_faint_ink_counts_only_where_frames_are_prepared(profile):
-    """A sensor's image with so little contrast counts as blank paper."""
+    """Gray 230 on white 255 is blank paper in a sensor's image, but ink in a prepared one."""
     profile = profile_for_reading(profile)
     image = np.full((64, 64), 255, np.uint8)
     image[:, :32] = 230
@@ -166,7 +166,7 @@ def test_bold_strokes_of_grey_print_are_ink_and_tiny_frames_work(binarizer, patc
 
 
 def follow(drive, images, touching=True, start_ns=0):
-    """Pass the ink of each electrode every 20 ms; return activation of RA and SAI, (T, E) each."""
+    """Filter one image of ink every 20 ms; return the activation of RA and of SAI, (T, E) each."""
     rows = []
     for step, ink in enumerate(images):
         activation = np.zeros((3, len(ink)), np.float32)
