@@ -165,7 +165,7 @@ def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
     scan = ScanScheduler(profile, bank, (Afferent.RA,), profile.pulse.rate_hz)
     nothing = TactileImage(np.zeros((3, count), np.float32), 0, 1.0)
     open_level(gate.check, scan.schedule(nothing, 0.0), gate.limits)
-    # Intensities fall, because the gate refuses a sudden rise.
+    # Use falling intensities, because the gate refuses a sudden rise.
     for step, intensity in enumerate(sorted([*rng.random(5), 0.0], reverse=True), 1):
         rows = np.zeros((3, count), np.float32)
         rows[Afferent.RA] = rng.random(count) * (rng.random(count) < density)
@@ -180,7 +180,7 @@ def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
         if profile.output.kind != "weighted":
             assert np.array_equal(sent.state, asked.state), "an electrode was switched off"
         if hold == "charge" and asked.slots:
-            # Rounding a width changes charge by at most 0.5 µs × current; the width limit, by more.
+            # Rounding a width changes charge by at most 0.5 µs × current, a width limit by more.
             apart = np.abs(charges_uc(sent) - charges_uc(asked)) * 1e6
             most_us = np.minimum(200, 500_000 // np.maximum(less.max(axis=1), 1))
             assert np.all((apart <= less.max(axis=1) / 2 + 1) | (sent.width_us >= most_us))

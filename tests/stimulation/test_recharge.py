@@ -186,7 +186,7 @@ def test_the_largest_is_two_microcoulombs_and_twenty_milliseconds():
 
 
 def test_a_tenth_of_threshold_is_never_rounded_up():
-    # In double precision, 1.2 is slightly below its decimal value; in single, slightly above.
+    # In double precision, 1.2 is stored as slightly less; in single precision, as slightly more.
     assert recharge_most_ua(np.array([1.2, 0.4, 5.0])).tolist() == [119, 40, 500]
     assert recharge_most_ua(np.array([1.2, 0.4], np.float32)).tolist() == [120, 40]
     profile = load_profile("electric-mouse")

@@ -226,7 +226,7 @@ def opened():
 
 @given(steps)
 def test_what_is_planned_is_permitted_though_it_is_written_late_or_never(asked):
-    """Every third proved sequence is replaced; the others are written 5 ms after their proof."""
+    """Every third planned sequence is never written; the others are written 5 ms late."""
     ramp, now_ns = begun(), 0
     for index, (wait_ns, wanted_ppb, weak_ppb, lasting_ns) in enumerate(asked):
         now_ns += wait_ns
@@ -252,7 +252,7 @@ def test_a_restart_begins_at_zero_without_current(now_ns):
     (20, [0.04, 0.08, 0.12, 0.16]), (50, [0.04, 0.14, 0.24, 0.34]), (500, [0.04, 0.2, 0.36, 0.52]),
 ])  # fmt: skip
 def test_planned_steps_are_as_long_as_pulses_flow(period_ms, planned):
-    """The first step is the rise in 20 ms; later steps are the rise in one period, up to 80 ms."""
+    """The ramp's first step is its rise in 20 ms, later steps its rise in a period, up to 80 ms."""
     ramp, found, now_ns = begun(), [], 10**9
     for _ in planned:
         found.append(ramp.allowed_level(now_ns))

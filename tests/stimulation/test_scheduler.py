@@ -291,7 +291,7 @@ def planned(rate_hz, net_pc, wanted, seconds=6.0):
 def test_pauses_are_short_and_no_longer_than_net_charge_requires(rate_hz, net_pc):
     times, periods, left_out = planned(rate_hz, net_pc, lambda _: True)
     assert left_out == 0
-    # Passes are slowed evenly, instead of a long pause after fast passes.
+    # All passes are slowed evenly: no long pause follows a series of fast passes.
     assert periods.max() < 60_000
     steady = times[-1] - times[times > 3e6][0]
     allowed_us = max(1e6 / rate_hz, 1e6 * net_pc / NET_PC)

@@ -131,7 +131,7 @@ def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
 
 
 def test_where_nothing_is_proved_points_are_shown_one_by_one(profile, bank, made):
-    """SAI sites are not independent: 16 kernels activate RA twice as strongly as their targets."""
+    """SAI sites are not independent: 16 kernels together activate RA twice as strongly as SAI."""
     activation = np.zeros(64, np.float32)
     activation[:10] = 1
     found = made[Afferent.SAI].slots(activation, 1.0)
