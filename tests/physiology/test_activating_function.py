@@ -77,7 +77,7 @@ def test_an_active_ending_is_mcneal_s_end_node(profile, changed):
 
 
 def test_depth_selection_of_figure_9():
-    """Anodes beside a cathode reduce, and cathodes increase, the ratio of deep to shallow AF."""
+    """Beside a cathode, anodes reduce the ratio of deep to shallow AF, and cathodes increase it."""
     profile = load_profile("line-7")
     flat = targets(profile, Afferent.SAI)
     shallow, deep = (af_matrix(profile, replace(flat, depth_mm=each))[3] for each in (0.7, 2.0))
@@ -236,7 +236,7 @@ DIRECTIONS = [*np.eye(3), [0.6, -0.8, 0], [0.6, 0, 0.8], [2 / 3, -1 / 3, 2 / 3]]
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize(("closed", "potential"), CLOSED)
 def test_closed_forms_against_quadrature_and_differences(closed, potential, place):
-    """Derivatives agree with fourth-order differences of potentials summed over point sources."""
+    """Derivatives in closed form agree with differences of potentials at neighboring points."""
     field, expected = at(closed, *place), []
     for direction in DIRECTIONS:
         steps = STEP_MM * np.arange(-2, 3)[:, None] * np.array(direction)

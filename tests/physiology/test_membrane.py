@@ -100,7 +100,7 @@ def test_an_action_potential_travels_unharmed():
     assert 85 < course[:, 20].max() < 100
     assert course[:, 50].max() == pytest.approx(course[:, 20].max(), rel=0.01)
     delay_us = 2.0 * (course[:, 50].argmax() - course[:, 20].argmax())
-    assert 5 < 30 * SPACING_MM * 1000 / delay_us < 15  # m/s; 3 to 5 m/s per µm of diameter
+    assert 5 < 30 * SPACING_MM * 1000 / delay_us < 15  # velocity: 3 to 5 m/s per µm of diameter
     assert np.abs(course[-1, :40]).max() < 1
 
 
@@ -161,7 +161,7 @@ OFFERED = [
 
 
 def under_a_disc(fiber, depth_mm, beside_mm=0.0, reach_mm=6.0):
-    """Return the potential per mA of a disc cathode along a flat fiber, or an upright one."""
+    """Return the potential per mA of a disc cathode along a flat or an upright fiber."""
     nodes = int(reach_mm / fiber.internode_mm)
     if fiber.end == "through":
         along = np.arange(-nodes, nodes + 1) * fiber.internode_mm
@@ -199,7 +199,7 @@ def test_thresholds_of_the_cable_under_a_disc(fiber, end, width_us):
 
 
 def test_a_bare_terminal_prefers_the_anode_as_much_as_was_measured():
-    """Kaczmarek (2000) found cathodic over anodic thresholds of 1.3 to 1.5 for macaque RA."""
+    """Kaczmarek (2000): cathodic RA thresholds of macaques are 1.3 to 1.5 times anodic ones."""
     like = replace(FIBERS["fingertip"], end="passive")
     potential = under_a_disc(like, 0.7)
     cathodic, anodic = (threshold_ma(potential, like, cathodic=each) for each in (True, False))
