@@ -1,4 +1,4 @@
-"""Tests of the sensors' wire format, and of frames from a serial array with their counts."""
+"""Tests of the sensors' wire format, and of the frames and counters of a serial array."""
 
 import socket
 import zlib

@@ -96,7 +96,7 @@ def test_a_video_frame_by_frame(profile, write_video):
 
 
 def test_a_video_at_its_pace(profile, write_video):
-    """If a 200 Hz video is read at 80 Hz, images are dropped; real time has no influence."""
+    """If a 200 Hz video is read at 80 Hz, images are dropped; the computer's clock is not used."""
     with open_source(f"video:{write_video()}", profile) as sensor:
         assert sensor.duration_s == pytest.approx(0.2)
         frames = [sensor.read(12_500_000 * count) for count in range(16)]
