@@ -1,4 +1,4 @@
-"""Trials have the stimuli that their conditions state; free stimulation follows the keys."""
+"""Trials have the stimuli that their conditions state; free stimulation obeys the keys."""
 
 import math
 from collections import Counter
