@@ -118,11 +118,11 @@ def degrade(
 ) -> Printed:
     """Simulate a bad scan or a photograph of a page; its true baselines move with the image.
 
-    ``skew_deg`` rotates clockwise. ``uneven``, 0 to 1, scales a slope of brightness, dark corners
-    and a shadow. ``noise`` is a standard deviation in grey levels. ``perspective`` lays the sheet
-    on a dark table; it is the fraction by which the far edge is narrower. ``curvature`` is the
-    largest bend of lines, in mm, as in an open book: at the bottom of the page in full, at the top
-    by a third. ``jpeg`` is the quality of compression.
+    ``skew_deg`` rotates clockwise. ``uneven``, 0 to 1, is the strength of a slope of brightness, of
+    dark corners and of a shadow. ``noise`` is a standard deviation in grey levels. ``perspective``
+    is the fraction by which the far edge of the sheet is narrower; the sheet lies on a dark table.
+    ``curvature``, mm, is the bend of the lowest line, as in an open book; at the top, lines bend by
+    a third of it. ``jpeg`` is the quality of compression.
     """
     grey = printed.page.grey
     if inverted:
@@ -194,7 +194,7 @@ def _font(name: str, size_px: float) -> ImageFont.FreeTypeFont:
 
 
 def _bent(grey, most_px, paper):
-    """Bend an image like a page of a book bound at its left; also return a function for points."""
+    """Return an image bent like a page bound at its left, and a function that bends points."""
     height, width = grey.shape
 
     def fall(x):

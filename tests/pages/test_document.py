@@ -300,9 +300,9 @@ def png_header(side):
 
 
 @pytest.mark.parametrize(("side", "attributes"), [
-    # An image with side 0, and one without data: the error depends on the version of Pillow.
+    # For images of side 0 and images without data, the error depends on Pillow's version.
     (0, {}), (100, {}),
-    # Pillow rejects this large image but does not report its size, so the error has no value.
+    # Pillow rejects this large image but does not report its size, so the message has no size.
     (60_000, {"names": "pixels", "allowed": 10**8}),
     (12_000, {"names": "pixels", "value": (12_000, 12_000), "allowed": 10**8}),
     (1, {"names": "pixels", "value": (1, 1), "allowed": (8, 8)}),

@@ -34,7 +34,7 @@ def put(x, y, text, size=10, font="F", turn=(1, 0, 0, 1), more=""):
 
 
 def marked(x, y, *parts):
-    """Return PDF operators of a line; every second part is raised, or lowered if it has a _."""
+    """Return PDF operators of a line. Every second part is raised (with a leading _: lowered)."""
     shown = b"BT %d %d Td " % (x, y)
     for k, part in enumerate(parts):
         rise = 4 - 6 * (part[0] == "_") if k % 2 else 0
@@ -65,7 +65,7 @@ def load(path, **options):
 
 
 def columns(texts, step=14, x=(40, 165, 290), by_rows=False):
-    """Yield (x, y, text) of lines in columns of three, sorted by columns or by rows."""
+    """Yield (x, y, text) for lines in columns of three lines, sorted by column or by row."""
     places = [(x[k // 3], 250 - step * (k % 3), text) for k, text in enumerate(texts)]
     yield from sorted(places, key=lambda place: -place[1]) if by_rows else places
 
@@ -207,7 +207,7 @@ def test_what_is_filled_into_a_form_is_read_beside_its_label(tmp_path):
 
 
 def picture(lines):
-    """Return the size, PDF operators and PDF objects of a picture of lines, cut into two strips."""
+    """Draw lines as a picture in two strips; return its size, PDF operators and PDF objects."""
     grey = print_page(lines, size_pt=10, dpi=150).page.grey
     height, width = grey.shape
     half = height // 2

@@ -72,7 +72,7 @@ def test_a_sheet_on_a_table_is_laid_flat(printed, perspective, light):
     prepared = prepare_page(photo.page)
     page, notes = prepared.page, prepared.notes
     assert find_sheet(photo.page.grey) is not None
-    # A note about skew would contain the angle, so the first note is about the sheet.
+    # The first note is about the sheet: it has no number, and a note about skew has an angle.
     assert numbers_in(notes[0]) == []
     assert_level(page)
     width, height = printed.page.size_mm

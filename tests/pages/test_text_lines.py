@@ -78,7 +78,7 @@ PRINT = {
         {"size_pt": 14, "dpi": 200}, {"skew_deg": -3},
     ),
 }  # fmt: skip
-"""Lines of text, changes of the default print (12 points, 150 dpi), and options of `degrade`."""
+"""Lines of text, options of `print_page` (default: 12 points, 150 dpi), options of `degrade`."""
 
 
 @pytest.mark.parametrize("case", PRINT)
