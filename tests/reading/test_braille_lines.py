@@ -71,7 +71,7 @@ def delivered(name, line, eight=False):
     profile, bank = array(name)
     layout = cell_layout(profile, eight)
     shown = layout.line(line)
-    # Move fast: to decode the cells, one pulse at each position is enough.
+    # The finger moves fast, because one pulse at each position is enough to decode cells.
     motion = Braille().motion(profile, profile.electrodes.cell_mm[0] * 20)
     picture = deliver_pulses(shown, LineDelivery(profile, bank, Braille().tone, motion)).picture
     dots = 8 if eight else 6

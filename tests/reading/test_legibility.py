@@ -102,8 +102,8 @@ def test_bars_are_felt_where_they_are(way, make_line):
     assert felt[(x_mm > 12) & (x_mm < 14)].min() > 0.9
     assert felt[(x_mm < 7) | (x_mm > 19)].max() < 0.1
     assert (x_mm * felt).sum() / felt.sum() == pytest.approx(13.0, abs=0.2)
-    # A lifted finger has the pose x = 0: its frames must not weaken the picture at this place.
-    # Values are slightly below 1 because currents are rounded to whole microamperes.
+    # The pose of a lifted finger is x = 0. Its frames must not weaken the picture near x = 0.
+    # Felt values are slightly below 1 because currents are rounded to whole microamperes.
     x_mm, felt = felt_along(second)
     assert felt[(x_mm > 3) & (x_mm < 5)].min() > 0.99
 
@@ -113,7 +113,7 @@ def test_many_points_in_a_slot_are_felt_as_they_are_one_by_one(way, make_line):
     by_points = deliver_pulses(line, way).picture.values()
     shared = replace(way, sharing=SlotPolicy((Afferent.RA,)))
     at_once = deliver_pulses(line, shared).picture.values()
-    # A shared slot can reach 4 % less than full activation: 8 % of the range above threshold.
+    # In a shared slot, activation can be 4 % too small. This is 8 % of the range above threshold.
     assert np.abs(at_once - by_points).max() < 0.12
     assert not np.array_equal(at_once, by_points)
 

@@ -25,7 +25,7 @@ def notes():
 
 @pytest.fixture
 def source_of(tmp_path, notes):
-    """Return a function that opens a source, or prints pages ("" is blank) and opens their file."""
+    """Return a function that opens a source. If pages are given, it first prints them to a file."""
 
     def make(name, *pages, **how):
         if pages:
