@@ -1,4 +1,4 @@
-"""Uncontracted English Braille (grade 1): known words, cells back to text, equal to liblouis."""
+"""Grade 1 (uncontracted English Braille): known words, back translation, liblouis as reference."""
 
 import re
 import string
