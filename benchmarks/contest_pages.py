@@ -21,7 +21,7 @@ NOISE = 40
 
 
 def closed(grey):
-    """Return ink: estimate the paper by a closing, divide by it, and apply Otsu's threshold."""
+    """Divide a page by an estimate of its paper (morphological closing); apply Otsu's threshold."""
     small = cv2.resize(grey, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
     paper = cv2.morphologyEx(small, cv2.MORPH_CLOSE, np.ones((13, 13), np.uint8))
     paper = cv2.resize(cv2.medianBlur(paper, 5), grey.shape[::-1])
@@ -29,7 +29,7 @@ def closed(grey):
 
 
 def otsu(grey):
-    """Return ink by one threshold for the whole page."""
+    """Return ink by Otsu's threshold, one for the whole page."""
     return cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY_INV | cv2.THRESH_OTSU)[1] > 0
 
 

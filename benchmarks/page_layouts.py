@@ -56,7 +56,7 @@ class Sheet:
         return words
 
     def put(self, text, x, y, size=None, font=None, anchor="ls", silent=False):
-        """Draw text at its baseline and return its right end; if silent, omit it from `pieces`."""
+        """Draw text and return its right end. Append the text to `pieces` unless ``silent``."""
         face = _font(font or self.regular, size or self.size)
         self.draw.text((round(x), round(y)), text, fill=INK, font=face, anchor=anchor)
         if not silent:

@@ -70,7 +70,7 @@ def plain(text):
 
 
 def order_of(pieces, text):
-    """Return how well a text keeps the order of lines (Kendall's tau); lines are found by words."""
+    """Locate lines in a text by their words; return Kendall's tau of their order (1: correct)."""
     read = plain(text).split()
     places = []
     for piece in pieces:

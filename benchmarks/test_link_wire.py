@@ -25,7 +25,7 @@ PULSE_US, REST_US = 200, 100
 
 
 def packets(sequence, image):
-    """Return the size of a sequence on the wire, in bytes: as currents, and as lists of kernels."""
+    """Return the size of a sequence in bytes, sent as currents and sent as lists of kernels."""
     payloads = (encode_lists(sequence, 1, True, False, each, 1 << 24) for each in (None, image))
     return [
         len(encode(Message(MessageKind.SEQUENCE, 1, 1 << 63 | 1 << 31, 1, 1, each)))

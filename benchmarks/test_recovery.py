@@ -1,6 +1,6 @@
 """Recovery of the thresholds of 200 simulated subjects with each procedure.
 
-An error is the natural logarithm of estimated over true threshold, nearly the relative error.
+An error is the natural logarithm of the ratio of the estimated threshold to the true one.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ def test_recovery(task, name, row, quick, runs):
         "task": task, "procedure": name, "trials": f"{np.mean(trials):.1f}",
         "subjects without threshold": subjects - len(errors),
         "mean error, SD": f"{np.mean(errors):+.3f}, {np.std(errors):.3f}",
-        "share of 95 % intervals with the truth": f"{np.mean(held):.3f}",
+        "share of 95 % intervals that hold the truth": f"{np.mean(held):.3f}",
     })  # fmt: skip
     assert abs(np.mean(errors)) < (0.2 if quick else 0.05)
     assert np.mean(held) > (0.5 if quick else 0.88)

@@ -42,7 +42,7 @@ def cpu_s(pid):
 
 @contextlib.contextmanager
 def at_a_terminal():
-    """Yield a pseudoterminal whose output is discarded, and a list with the number of its bytes."""
+    """Yield a pseudoterminal, and a list whose only item is the number of output bytes so far."""
     master, slave = pty.openpty()
     os.set_blocking(master, True)
     count = [0]
@@ -62,7 +62,7 @@ def at_a_terminal():
 
 
 def ran(folder, seconds, *options, rate_hz=50):
-    """Run the program; return its statistics, CPU load and output to the terminal in kB/s."""
+    """Run the program; return its statistics, its CPU load and its terminal output in kB/s."""
     command = [PROGRAM, "live", TEXT, "--board", "emulator:", "--json", "run.json", *options]
     command += ["--set", f"rate_hz={rate_hz}", "--seconds", f"{seconds:g}"]
     environment = os.environ | {"TERM": "xterm-256color", "COLUMNS": "100", "LINES": "30"}
