@@ -77,8 +77,8 @@ def test_a_cathode_blurs_what_an_anode_focuses(mouse):
 def test_pc_is_felt_toward_the_fingertip(mouse, flat_mm, shift_mm):
     """The shift is 1 to 3 mm, as in Section III-B.4, if horizontal axons are at most 5 mm long.
 
-    Expected shifts are means over 20 fingers; means over 4 of these differ by up to 0.16 mm. Axons
-    of 7 mm, which our anatomy assumes, exceed the paper's range by half a millimeter.
+    Expected shifts are means over 20 fingers; means over 4 fingers differ by up to 0.16 mm. With
+    axons of 7 mm, which our anatomy assumes, the shift is 0.5 mm above the paper's range.
     """
     anatomy, none = load_anatomy("paper"), {"density_per_cm2": 0.0}
     alone = {each: getattr(anatomy, each).model_copy(update=none) for each in ("ra", "sai")}
@@ -96,9 +96,9 @@ def test_pc_is_felt_toward_the_fingertip(mouse, flat_mm, shift_mm):
 def test_each_mode_fires_its_class_most(mouse, mode, most_pc):
     """Each mode fires mostly its own class, and few PC.
 
-    Over 60 fingers, 0.027 times as many PC as RA fire in RA mode, and 0.117 times as many PC as SAI
-    in SAI mode. Over 4 fingers, these shares have standard deviations of 0.016 and 0.018; the
-    bounds are two standard deviations above the shares. In the paper RA mode fires no PC at all.
+    A bound is the ratio of PC to afferents of the mode's class over 60 fingers (0.027 for RA, 0.117
+    for SAI) plus two standard deviations of this ratio over 4 fingers (0.016 for RA, 0.018 for
+    SAI). In the paper, RA mode fires no PC.
     """
     current_ma = CLEAR_MA * kernel_ma(mouse.profile, mouse.bank, mode)[mouse.sites]
     counts = sum(
@@ -128,7 +128,7 @@ def test_far_points_are_distinguished_and_one_is_not(mouse):
 
 def test_lone_discs_give_the_figures_of_published_experiments(mouse):
     found = disc_figures(SpikeModel(mouse.fingers[0]))
-    # All afferents follow Weiss's law with the same chronaxie, so the ratio is the law's.
+    # All afferents have the same chronaxie, so Weiss's law gives the ratio of thresholds.
     chronaxie_us = mouse.fingers[0].anatomy.ra.chronaxie_us
     weiss = (1 + chronaxie_us / 1000) / (1 + chronaxie_us / 100)
     assert found["width"] == pytest.approx(weiss, rel=1e-3)
@@ -167,7 +167,7 @@ def fingers():
 
 
 def nearest_hz(fingers, spec, afferent, count):
-    """Return the rates of the afferents of a class nearest to the center, (F, count) Hz."""
+    """Return the rates of the afferents nearest to the center, for one class, (F, count) Hz."""
     rates = []
     for finger in fingers:
         mine = np.flatnonzero(finger.classes == afferent)
@@ -177,7 +177,7 @@ def nearest_hz(fingers, spec, afferent, count):
 
 
 def test_rates_are_those_of_touchsim(fingers):
-    """As in TouchSim, RA responds to 45 µm at 30 Hz but not to 8 µm; pressed SAI fire at 24 Hz."""
+    """As in TouchSim, RA responds to 45 µm but not to 8 µm at 30 Hz, and SAI fires at 24 Hz."""
     assert (nearest_hz(fingers, "tone:30Hz,8um", Afferent.RA, 9) > 0).mean() < 1 / 18
     assert (nearest_hz(fingers, "tone:30Hz,45um", Afferent.RA, 2) > 0).mean() > 0.8
     pressed = nearest_hz(fingers, "press:0.45N", Afferent.SAI, 2)
@@ -193,7 +193,7 @@ def test_spikes_keep_to_the_phase_and_none_comes_twice_in_a_cycle(fingers):
     assert spikes.counts[fingers[0].classes == Afferent.RA].max() <= 31
 
 
-# The smallest depth, the depths of RA and SAI, and the largest depth of `af_error`.
+# Four depths of `af_error`: the smallest, those of RA and SAI, and the largest.
 DEPTHS_MM = (0.5, 0.7, 0.9, 2.0)
 
 
@@ -209,7 +209,7 @@ def depths(profile):
 
 
 def test_one_threshold_gives_all_of_a_flat_fiber(depths):
-    """At all depths and both polarities, the prediction is within a fifth of the cable model."""
+    """At each depth and polarity, the prediction differs by at most 20 % from the cable model."""
     for depth_mm in DEPTHS_MM:
         for polarity in ("cathodic", "anodic"):
             assert depths["flat fiber", polarity, depth_mm].ratio == pytest.approx(1, abs=0.2)
