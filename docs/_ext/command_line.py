@@ -72,6 +72,6 @@ def write(app: Any) -> None:
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Register the extension with Sphinx, which writes the pages before it reads any page."""
+    """Register `write` with Sphinx, so that the pages exist before Sphinx reads its sources."""
     app.connect("builder-inited", write)
     return {"parallel_read_safe": True}

@@ -89,7 +89,7 @@ def _tables() -> Iterator[tuple[str, type[Table]]]:
 
 
 def _inner(annotation: Any) -> type[Table] | None:
-    """Return the model of a table or of the tables in a dictionary; None for other annotations."""
+    """Return the table model that an annotation is or contains; None if it has none."""
     if inspect.isclass(annotation) and issubclass(annotation, Table):
         return annotation
     return next(filter(None, map(_inner, get_args(annotation))), None)
