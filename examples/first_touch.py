@@ -24,8 +24,8 @@ steps = list(st.steps(source, profile, mode="RA"))
 print(f"{len(steps)} frames; the shipped profiles are {', '.join(st.list_profiles())}")
 
 # %%
-# Draw the step with the most points: the frame, its tactile image and its sequence. Orange is
-# cathodic, purple anodic. The currents of each slot add up to zero.
+# Draw the step that stimulates the most points: its frame, its tactile image and its sequence.
+# Orange is cathodic, purple anodic. The currents of each slot add up to zero.
 step = max(steps, key=lambda each: each.sequence.points)
 rows, columns = profile.array.rows, profile.array.columns
 figure, (seen, touched, sent) = plt.subplots(1, 3, figsize=(9, 3), layout="constrained")

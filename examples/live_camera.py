@@ -16,7 +16,7 @@ from smarttouch.lab import print_text
 
 
 class Film:
-    """Simulated camera that pans over a printed line, with the `read` of ``cv2.VideoCapture``."""
+    """Simulated camera that pans over a printed line. `read` works as in ``cv2.VideoCapture``."""
 
     def __init__(self, text):
         grey = print_text(text).grey
@@ -35,7 +35,7 @@ class Film:
 
 
 class CameraSource(st.OpticalSource):
-    """Source of the frames of a camera that has the ``read`` of ``cv2.VideoCapture``."""
+    """Source of frames from a camera object, for example a ``cv2.VideoCapture``."""
 
     knows_force = True
 

@@ -2,10 +2,10 @@
 The paper's effects on simulated fingers
 ========================================
 
-Four effects from Sections III-B and III-C of the paper: the order of sensations, blur by polarity,
-the shift of PC, and the concentric electrode. Two of them depend on our assumptions. PC fires after
-SAI and before RA because we doubled the threshold of PC; otherwise PC would fire first. The shift
-depends on the assumed length of PC axons. ``studies/finger_effects.py`` prints the numbers.
+Four effects from Sections III-B and III-C of the paper: the order of sensations, the blur below a
+cathode, the shift of PC, and the concentric electrode. Two effects depend on our assumptions. PC
+fires after SAI and before RA because we doubled the threshold of PC; otherwise PC would fire first.
+The shift depends on the length of PC axons. ``studies/finger_effects.py`` prints the numbers.
 """
 
 import matplotlib.pyplot as plt

@@ -59,7 +59,7 @@ plt.show()
 # Selection by depth (Fig. 9): anodes beside the cathode weaken the AF of deep axons, and cathodes
 # beside it strengthen this AF. We chose the weights, because the paper does not print them.
 def af_of(weights, x_mm, depths, vertical):
-    """Return the AF of a pattern, (D, X), at depths and at places along x."""
+    """Return the AF of a pattern at each depth and each position along x, (D, X)."""
     direction = np.array([0.0, 0, 1]) if vertical else np.array([1.0, 0, 0])
     places = np.column_stack([x_mm, np.zeros_like(x_mm)])
     fields = (field_at(line.electrodes, line.skin, places, float(each))[0] for each in depths)
@@ -86,7 +86,7 @@ def draw_depths(axes, weights, vertical, title):
 
 
 def add_scale(figure, drawn, panels):
-    """Add a color scale labeled with AF values, although colors show their cube roots."""
+    """Add a color scale. Colors show the cube root of the AF; labels state the AF itself."""
     bar = figure.colorbar(drawn, ax=panels, ticks=np.cbrt([-1, -0.1, -0.01, 0, 0.01, 0.1, 1]))
     bar.ax.set_yticklabels(["−1", "−.1", "−.01", "0", ".01", ".1", "1"], fontsize=7)
     bar.set_label("AF (above 0: depolarizing)", fontsize=8)

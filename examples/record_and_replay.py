@@ -29,7 +29,7 @@ print(f"{path.name}: {path.stat().st_size // 1000} kB")
 assert_replays(path)
 
 # %%
-# Check with a profile that gives full intensity at less force, and print the differences.
+# Check the recording with a changed profile, which gives full intensity at less force.
 changed = profile.model_dump()
 changed["force"]["full_n"] *= 0.9
 report = check_recording(path, profile=st.Profile.model_validate(changed))

@@ -55,7 +55,7 @@ with display.session(mode="RA") as left, other.session(mode="RA") as right:
 print([each.sequences for each in together.values()])
 
 # %%
-# Plot the strongest current of each sequence. Before the bars, weak pulses raise the ramp.
+# Plot the strongest current of each sequence. The pulses before the first bar belong to the ramp.
 recorded: st.RecordedRun = st.load_recording(path)
 run = recorded.arrays
 of_slot = np.abs(run.current_ua.astype(int)).max(axis=1)

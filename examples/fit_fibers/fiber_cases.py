@@ -29,9 +29,10 @@ class FiberCases:
     profile : Profile
     current_ma : ndarray, (C, E), mA
         Currents of each case, positive cathodic; the strongest is 1 or -1.
-    origin_mm, direction : ndarray, (C, 3)
-        Place of the ending, or of the middle node of a fiber without an ending; and unit vector
-        along the fiber. z points into the skin.
+    origin_mm : ndarray, (C, 3)
+        Position of the ending, or of the middle node if the fiber has no ending.
+    direction : ndarray, (C, 3)
+        Unit vector along the fiber. z points into the skin.
     group : ndarray of str, (C,)
         "single" if one electrode carries current, or the class of the kernel.
     cathodic : ndarray of bool, (C,)
@@ -46,7 +47,7 @@ class FiberCases:
     cathodic: NDArray[np.bool_]
 
     def potential_mv(self, along_mm: Array) -> Array:
-        """Return the potential at distances (N,) along each fiber, (C, N) mV at 1 mA."""
+        """Return the potential of each fiber at these distances along it, (C, N) mV at 1 mA."""
         found = []
         for origin, direction, current in zip(
             self.origin_mm, self.direction, self.current_ma, strict=True

@@ -33,17 +33,17 @@ _WORTHWHILE = 0.8
 _TOLERANCE = 0.05
 """Error up to which the soft L1 loss is nearly quadratic; for larger errors it is nearly linear."""
 _STIFFNESS = 0.1
-"""Threshold error that costs as much as a change of one weight by 100 % from its start. Weights
-that the cases do not determine therefore stay near those of a linear membrane."""
+"""Threshold error that costs as much as a change of one weight by 100 %. This cost
+keeps weights that the cases do not determine near those of a linear membrane."""
 _LINEAR_BELOW = 0.1
-"""Predicted drive at threshold (correct: 1) below which a line continues the logarithm."""
+"""Below this drive at threshold (correct: 1), a line replaces the logarithm in the error."""
 _NODES = 60  # number of nodes of the linear cable
 
 
 def thresholds_ma(
     potential_mv: Array, fiber: Fiber, width_us: float, step_us: float = 4.0
 ) -> Array:
-    """Return cathodic thresholds, (C,) mA, for potentials (C, N), mV per mA; NaN if none exists."""
+    """Return the cathodic threshold of each case, (C,) mA; NaN if the fiber never fires."""
     found = np.full(len(potential_mv), np.nan)
     for index, each in enumerate(potential_mv):
         with contextlib.suppress(DesignError):
@@ -59,11 +59,11 @@ def fit(
     Parameters
     ----------
     fiber : Fiber
-        Fiber of our cable model whose linear weights the fit starts from.
+        The fit starts from the weights of this fiber with a linear membrane.
     width_us : float, µs
         Pulse width.
     potential_mv : ndarray, (C, N), mV per mA
-        Potentials at the nodes in C cases, ending first.
+        Potentials at the nodes in C cases. If the fiber has an ending, its node is the first.
     threshold_ma : ndarray, (C,), mA
         Threshold of each case; cases without a finite threshold are ignored.
     reach : int
@@ -126,7 +126,7 @@ def _weights(features: Array, threshold_ma: Array, start: Array, block: float) -
 
 
 def _features(fiber: Fiber, potential_mv: Array, reach: int) -> Array:
-    """Return the second differences that weights multiply in each node's drive, (C, M, W)."""
+    """Return second differences, (C, M, W). Their weighted sum is the drive of each node."""
     bends = potential_mv @ bend_operator(fiber.end, potential_mv.shape[1]).T
     count, size = bends.shape
     padded = np.pad(bends, ((0, 0), (reach, reach)))

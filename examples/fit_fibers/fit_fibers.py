@@ -1,4 +1,4 @@
-"""Fit driving functions to a cable model of a fiber, and test their thresholds on other kernels.
+"""Fit driving functions to a cable model of a fiber, and test them on kernels outside the fit.
 
     python examples/fit_fibers/fit_fibers.py fingertip
 
@@ -58,7 +58,7 @@ class FiberFit:
     fitted : ThresholdError
         Errors on the cases that were used in the fit.
     held_out : dict of str to ThresholdError
-        Errors on the cases for testing: of "all", and of each group and polarity.
+        Errors on the cases for testing. Keys are "all" and, per group and polarity, "RA +" etc.
     activating : ThresholdError
         Errors of the activating function on the cases for testing.
     """
@@ -72,7 +72,7 @@ class FiberFit:
 
 
 def ends_of(fiber: str) -> tuple[End, ...]:
-    """Return the kinds of ending that are fitted for a fiber; "passive" only at the fingertip."""
+    """Return the kinds of ending for which a fiber is fitted. Only "fingertip" can be "passive"."""
     return ("through", "active", "passive") if fiber == "fingertip" else ("through", "active")
 
 
@@ -84,7 +84,7 @@ def fit_fiber(
     progress: Progress = lambda _done, _all: None,
     keep: Path | None = None,
 ) -> list[FiberFit]:
-    """Fit a fiber for each ending and pulse width, and test the fits on kernels of other sites.
+    """Fit a fiber for each ending and pulse width. Test each fit on kernels that it did not use.
 
     Parameters
     ----------
@@ -166,9 +166,9 @@ def _thresholds(
 def _mrg_thresholds(
     fiber: Fiber, width_us: float, each: FiberCases, potential_mv: Array, keep: Path | None
 ) -> Array:
-    """Return thresholds of the MRG model, and store them; load those that are in ``keep``."""
+    """Return thresholds of the MRG model. Load those stored in ``keep``; compute the others."""
     model = mrg.MrgFiber("active" if fiber.end == "active" else "through")
-    # The shipped driving function gives close estimates, which only make the search faster.
+    # Estimates from the shipped driving function make the search faster.
     near_ma = 1 / np.maximum(load_driving("mrg", fiber.end, width_us).highest(potential_mv), 1e-3)
     fields = each.potential_mv(model.along_mm)
     found = []

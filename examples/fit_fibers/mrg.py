@@ -15,9 +15,12 @@ from smarttouch.base.errors import DesignError
 
 Array = NDArray[np.float64]
 
-_STEP_MS, _STOP_MS = 0.01, 1.5  # time step, and simulated time after the pulse
-_RUNG, _PRECISION = 1.15, 0.01  # factor between tried currents, and relative error of the result
-_START, _MOST = 0.6, 50.0  # first and largest tried current, relative to the estimate
+# _STEP_MS: time step of the simulation. _STOP_MS: time that is simulated after the pulse.
+_STEP_MS, _STOP_MS = 0.01, 1.5
+# _RUNG: ratio of successive currents in the search. _PRECISION: relative error of the result.
+_RUNG, _PRECISION = 1.15, 0.01
+# First and largest current of the search, relative to the estimated threshold.
+_START, _MOST = 0.6, 50.0
 
 
 class MrgFiber:
@@ -30,7 +33,7 @@ class MrgFiber:
     diameter_um : float, µm
     nodes : int, optional
         Odd number of nodes. By default the fiber extends 15 mm to each side, or 15 mm from its
-        ending. There the field of an array is too weak for effects of the cut.
+        ending. That far away, the field of an array is too weak to fire the cut end.
 
     Raises
     ------
@@ -64,8 +67,8 @@ class MrgFiber:
         """Distance of each section from the ending or from the middle, (S,) mm."""
 
     def thresholds_ma(self, potential_mv_per_ma: Array, width_us: float, near_ma: Array) -> Array:
-        """Return thresholds, (C,) mA, for potentials, (C, S) mV per mA, at `along_mm`; NaN if there
-        is no threshold. The search for each threshold starts near the estimate in `near_ma`, (C,).
+        """Return the threshold of each case, (C,) mA; NaN if there is none. The search begins near
+        the estimates ``near_ma``, (C,). Potentials, (C, S), are those at the places `along_mm`.
         """
         from pyfibers import ScaledStim
 

@@ -53,7 +53,7 @@ def af_error_table(profile: Profile) -> list[AfError]:
             potential = potential_at_nodes(profile, fiber, depth_mm)
             bend = np.diff(potential, 2)
             if fiber.end == "active":
-                # McNeal's end node has one neighbor, so a first difference drives it.
+                # The end node has one neighbor, so a first difference of the potential drives it.
                 bend = np.append(bend, potential[1] - potential[0])
             for polarity, sign in (("cathodic", 1.0), ("anodic", -1.0)):
                 strongest = max(float((sign * bend).max()), 0.0)

@@ -30,8 +30,8 @@ STAGES_MA = (0.2, 0.4, 0.6, 1.0)
 CLEAR_MA = 2.4
 """Current that was clearly felt on a disc of 1.0 mm (Section III-C)."""
 LOWERED = 20.0
-"""Factor by which thresholds are lowered, because `Finger` omits nodes that no legal current fires.
-The resulting currents are multiplied by this factor again."""
+"""Divisor of all thresholds. Without it, `Finger` omits nodes that no legal current fires. The
+resulting currents are multiplied by `LOWERED`."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class Shift:
 
 
 def fired(finger: Finger, current_ma: Array) -> NDArray[np.bool_]:
-    """Return whether each afferent fires in each slot, (A, S), for currents (S, E) mA, without
-    noise."""
+    """Return whether each afferent fires in each slot, (A, S), if there is no noise. ``current_ma``
+    has a row for each slot."""
     width_us = np.full(len(current_ma), finger.profile.pulse.width_us)
     return np.asarray(SpikeModel(finger).drive(1000 * current_ma, width_us) >= 1)
 
@@ -60,7 +60,7 @@ def kernel_ma(profile: Profile, bank: KernelBank, afferent: Afferent) -> Array:
 
 
 def against_all(profile: Profile, cathodic: bool) -> Array:
-    """Return, for each electrode, 1 mA that returns through all other electrodes, (E, E) mA."""
+    """Return a pattern for each electrode, (E, E): 1 mA, and its return through all others."""
     count = len(profile.electrodes)
     pattern = np.full((count, count), -1 / (count - 1))
     np.fill_diagonal(pattern, 1.0)
@@ -68,10 +68,10 @@ def against_all(profile: Profile, cathodic: bool) -> Array:
 
 
 def stages(anatomy: str | Anatomy, seeds: Sequence[int]) -> dict[Afferent, Array]:
-    """Return the SAI-mode currents at which 1 to 10 afferents of a class fire, (10,) mA, by class.
+    """Return, for each class, the SAI-mode currents at which 1 to 10 afferents fire, (10,) mA.
 
-    Values are medians over fingers; infinite if a class has fewer afferents. The array is the
-    paper's eight lines, and axons run across the lines, as in Fig. 7.
+    Each value is the median over fingers. A missing afferent counts as an infinite current. The
+    array is the paper's eight lines. Axons run across the lines, as in Fig. 7.
     """
     profile = load_profile("line-8")
     base = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
@@ -99,8 +99,8 @@ def stages(anatomy: str | Anatomy, seeds: Sequence[int]) -> dict[Afferent, Array
 def shift(
     fingers: Sequence[Finger], current_ma: Array, sites: Sequence[int], classes: Sequence[Afferent]
 ) -> Shift:
-    """Return the displacement of receptors from the site whose currents fire them, for the given
-    classes. ``current_ma``, (E, E), has a row of currents for each site."""
+    """Return the displacement of receptors from a site, for afferents of the given classes that the
+    currents of the site fire. ``current_ma``, (E, E), has a row of currents for each site."""
     away, tried = [np.zeros((0, 2))], 0
     for finger in fingers:
         answers = fired(finger, current_ma[list(sites)])
@@ -118,7 +118,7 @@ def shift(
 
 
 def inner_sites(profile: Profile) -> list[int]:
-    """Return the electrodes in the middle half of an array's width and height."""
+    """Return the electrodes in the central part of an array: half its width by half its height."""
     reach = np.abs(profile.electrodes.position_mm).max(axis=0) / 2 + 1e-9
     within = (np.abs(profile.electrodes.position_mm) <= reach).all(axis=1)
     return [int(each) for each in np.flatnonzero(within)]
@@ -127,7 +127,7 @@ def inner_sites(profile: Profile) -> list[int]:
 def reached(
     profile: Profile, center_ma: float, anatomy: str | Anatomy, seeds: Sequence[int]
 ) -> Array:
-    """Return the mean numbers of RA, SAI and PC that a concentric electrode fires, (3,)."""
+    """Return how many RA, SAI and PC a concentric electrode fires, (3,), mean over fingers."""
     pattern = np.array([[center_ma, -center_ma]])
     rows = []
     for seed in seeds:
@@ -159,7 +159,7 @@ def spread(values: Iterable[float], digits: int = 1) -> str:
 
 
 def _counts(rows: Sequence[Array]) -> str:
-    """Return as text how many RA, SAI and PC fire; each row has the counts, (3,), of a finger."""
+    """Return the counts of RA, SAI and PC over fingers as text. Each finger has a row, (3,)."""
     columns = zip(Afferent, np.transpose(rows), strict=True)
     return ", ".join(f"{each.name} {spread(column)}" for each, column in columns)
 
@@ -174,11 +174,11 @@ def _stage_rows(
     shown = ", ".join(f"{each.name} {spread(first_ma[each] / least_ma)}" for each in order[1:])
     return [
         (
-            "SAI mode on lines: current at which a class first fires, over the lowest of them",
+            "SAI mode on lines: threshold of each class, relative to the lowest",
             "pressure 1, vibration 1.5, masked 2.5",
             f"{order[0].name} 1, {shown}",
         ),
-        ("SAI mode on lines: lowest of these currents, mA", f"{STAGES_MA[0]:g}", spread(least_ma)),
+        ("SAI mode on lines: lowest threshold, mA", f"{STAGES_MA[0]:g}", spread(least_ma)),
     ]
 
 
@@ -192,7 +192,7 @@ def _blur_rows(
         away[name] = f"{name} {spread(each.away_mm for each in found)}"
     return [
         (
-            f"one electrode, {CLEAR_MA:g} mA: RMS distance of firing receptors from it, mm",
+            f"one electrode, {CLEAR_MA:g} mA: RMS distance to active receptors, mm",
             "anodic acute, cathodic blurred",
             ", ".join(away.values()),
         )
@@ -210,7 +210,7 @@ def _shift_rows(
         alone = {
             "ra": anatomy.ra.model_copy(update=none),
             "sai": anatomy.sai.model_copy(update=none),
-            # Use ten times the density of the tip, for a precise mean.
+            # Ten times as many PC as in a fingertip give a precise mean.
             "pc": anatomy.pc.model_copy(update={"flat_mm": flat_mm, "density_per_cm2": 210.0}),
         }
         mine = anatomy.model_copy(update=alone)

@@ -2,7 +2,7 @@
 
 ``python examples/studies/published.py 20`` prints published values and those of 20 fingers of each
 anatomy. We read at least the abstract of each source; a dash marks a number that we did not find.
-Except where the last column says so, the model was not fitted to these measurements.
+The model was fitted to a measurement only if the last column says so.
 """
 
 import sys
@@ -44,9 +44,9 @@ PULSES, PULSE_HZ = 6, 350.0
 COMFORTABLE = 1.5
 """Current, relative to the threshold, at which patterns are recognized well (Kaczmarek)."""
 _DIP = 0.8
-"""Largest response between two resolved points, relative to the weaker point (our choice)."""
+"""A dip below this share of the weaker peak separates two points (our choice)."""
 _BLUR_MM = 0.6  # standard deviation of a receptive field, for resolving two points (our choice)
-_ACROSS = 33  # number of places along the line through two points
+_ACROSS = 33  # number of samples along the line through two points
 _RESAMPLES = 2000  # number of bootstrap samples
 
 
@@ -78,42 +78,42 @@ _SOURCES = {
 """Sources by key, with the measured skin or nerves; see also ``docs/references.md``."""
 EXPERIMENTS = (
     Experiment("disc", "threshold of a 1 mm disc, anodic, 200 µs, mA", "2.4 clearly felt", (0, 2.4),
-               _SOURCES["paper"], "an upper bound; our thresholds are those of a cable model"),
-    Experiment("width", "threshold at 1000 µs over threshold at 100 µs", ".32 (I²T constant)",
+               _SOURCES["paper"], "2.4 mA was clearly felt, so the threshold is lower"),
+    Experiment("width", "threshold at 1000 µs relative to 100 µs", ".32 (I²T constant)",
                (0.28, 0.35), _SOURCES["tachi"],
-               "the model has Weiss's law with 151 µs: a power of −.34, not −.5"),
+               "the model follows Weiss's law with 151 µs: a power of −.34, not −.5"),
     Experiment("chronaxie", "chronaxie of RA by its cable model, µs", "151", (136, 166),
-               _SOURCES["rhesus"], "the cable has faster nodes (rabbit, 37 °C); spikes use 151"),
+               _SOURCES["rhesus"], "cable nodes are faster (rabbit, 37 °C); spikes use 151 µs"),
     Experiment("polarity", "cathodic over anodic threshold of an RA ending", "1.3–1.5", (1.3, 1.5),
                _SOURCES["rhesus"], "the terminal of the model was fitted to this ratio"),
-    Experiment("size", "threshold of a 4 mm disc over a 1 mm disc", "above 1", (1.02, np.inf),
-               _SOURCES["zhu"], "flatter fields; the three sources disagree, none used a finger"),
-    Experiment("size", "threshold of a 4 mm disc over a 1 mm disc", "below 1, up to 15 mm",
-               (0, 0.98), _SOURCES["tashiro"], "one spike is the threshold, not a sum over fibers"),
-    Experiment("size", "threshold of a 4 mm disc over a 1 mm disc", "1, no influence",
+    Experiment("size", "threshold of a 4 mm disc relative to 1 mm", "above 1", (1.02, np.inf),
+               _SOURCES["zhu"], "a large disc has a flatter field; no source used a finger"),
+    Experiment("size", "threshold of a 4 mm disc relative to 1 mm", "below 1, up to 15 mm",
+               (0, 0.98), _SOURCES["tashiro"], "the model does not add up the spikes of fibers"),
+    Experiment("size", "threshold of a 4 mm disc relative to 1 mm", "1, no influence",
                (0.98, 1.02), _SOURCES["dölker"], ""),
-    Experiment("train", f"threshold of {PULSES} pulses over one pulse", "below 1 (more pulses)",
-               (0, 0.999), _SOURCES["geng"], "only because of noise from pulse to pulse"),
-    Experiment("burst", f"spikes of {PULSES} pulses at {PULSE_HZ:g} Hz over one pulse",
+    Experiment("train", f"threshold of {PULSES} pulses relative to one", "below 1 (more pulses)",
+               (0, 0.999), _SOURCES["geng"], "in the model, only because of noise between pulses"),
+    Experiment("burst", f"spikes of {PULSES} pulses at {PULSE_HZ:g} Hz relative to one",
                "2 (strength)", (1.8, 2.2), _SOURCES["bursts"],
                "the model does not turn spikes into felt strength"),
-    Experiment("pair", "threshold of two simultaneous discs 4 mm apart over one disc", "below 1",
-               (0, 0.98), _SOURCES["geng"], "beside a disc, its field has the opposite sign"),
+    Experiment("pair", "threshold of two discs at once, 4 mm apart, relative to one", "below 1",
+               (0, 0.98), _SOURCES["geng"], "beside a disc, its field changes sign"),
     Experiment("", "threshold of two discs with a delay of 0 to 500 µs", "rises with the delay",
                None, _SOURCES["geng"], "in the model each pulse acts independently"),
     Experiment("anodic", f"SAI share of firing afferents, anodic, {COMFORTABLE:g} × threshold",
                "mainly vibration", (0, 0.3), _SOURCES["yem"],
-               "agrees below .30, which is the SAI share of all afferents"),
+               ".30 is the share of SAI among all afferents"),
     Experiment("strong", "SAI share of firing afferents, anodic, 3 × threshold", "still low",
                (0, 0.3), _SOURCES["yem"], ""),
     Experiment("cathodic", f"SAI share of firing afferents, cathodic, {COMFORTABLE:g} × threshold",
                "vibration and pressure", (0.3, 0.9), _SOURCES["yem"], "SAI axons are horizontal"),
     Experiment("points_ra", "points 4 mm apart are resolved, RA mode", "–", None,
-               _SOURCES["solomonow"], "the abstract has no distance; we chose the criterion"),
+               _SOURCES["solomonow"], "the abstract states no distance; we chose the criterion"),
     Experiment("points_sai", "points 4 mm apart are resolved, SAI mode", "–", None,
                _SOURCES["solomonow"], ""),
     Experiment("level", f"letters read at {COMFORTABLE:g} × threshold minus letters at threshold",
-               "better", (0.02, 1), _SOURCES["display"], "fewer points are silent"),
+               "better", (0.02, 1), _SOURCES["display"], "at threshold, many points are silent"),
 )  # fmt: skip
 
 
@@ -170,7 +170,7 @@ def disc_figures(model: SpikeModel) -> dict[str, float]:
 
 
 def _drive(model: SpikeModel, current_ma: Array, width_us: float = 200.0) -> Floats:
-    """Return the drive of each afferent, (A, S), for currents (S, E) mA; 1 is the threshold."""
+    """Return the drive of each afferent in each slot, (A, S). An afferent fires at a drive of 1."""
     drive = model.drive(1000 * current_ma, np.full(len(current_ma), width_us))
     return np.maximum(drive, 1e-9)
 
@@ -181,7 +181,7 @@ def _sai_share(finger: Finger, drive: Floats) -> float:
 
 
 def _train_threshold(model: SpikeModel, drive: Floats) -> float:
-    """Return the current at which half of the trains cause a spike, relative to single pulses."""
+    """Return the current at which half the trains cause a spike, relative to that of one pulse."""
     noise = np.array([one.anatomy.noise for one in model.finger.populations.values()])
     noise = noise[model.finger.classes][:, None]
     levels = np.linspace(0.9, 1.02, 241)
@@ -212,7 +212,7 @@ def _burst_spikes(model: SpikeModel, current_ma: Array) -> float:
 
 
 def _pair_ratio(model: SpikeModel) -> float:
-    """Return the threshold of two discs two pitches apart, relative to the more sensitive disc."""
+    """Return the threshold of two discs at once, relative to that of the more sensitive disc."""
     profile = model.finger.profile
     single, place = against_all(profile, cathodic=False), profile.electrodes.position_mm
     sites, away = inner_sites(profile), profile.electrodes.pitch_mm * np.array([2.0, 0.0])
@@ -223,10 +223,8 @@ def _pair_ratio(model: SpikeModel) -> float:
 
 
 def _size_ratio(bench: Bench, anatomy: str, seed: int) -> float:
-    """Return the threshold of a large disc relative to a small disc.
-
-    The polarity with the lower threshold is used. Thresholds are reduced as `LOWERED` describes.
-    """
+    """Return the threshold of a large disc relative to that of a small disc, each with its more
+    sensitive polarity. `LOWERED` describes why thresholds are reduced."""
     base = load_anatomy(anatomy)
     lowered = {
         each.name.lower(): base.of(each).model_copy(
@@ -243,8 +241,8 @@ def _size_ratio(bench: Bench, anatomy: str, seed: int) -> float:
 
 
 def _of_one_ending(finger: Finger) -> dict[str, float]:
-    """Return the polarity ratio and the chronaxie of an upright RA fiber below the center of a
-    disc. Its ending is as deep as that of the nearest RA fiber of the finger."""
+    """Return the polarity ratio and the chronaxie of an upright RA fiber below a disc. This fiber
+    ends at the same depth as the nearest RA fiber of the finger."""
     profile, anatomy = finger.profile, finger.anatomy.ra
     site = inner_sites(profile)[0]
     ra = finger.populations[Afferent.RA]
@@ -263,7 +261,7 @@ def _of_one_ending(finger: Finger) -> dict[str, float]:
 
 
 def resolves_two_points(finger: Finger, current_ma: Array, places_mm: Array) -> bool:
-    """Return whether the response to currents (S, E), mA, resolves two points, (2, 2) mm."""
+    """Return whether the response to these currents resolves the two points ``places_mm``."""
     fires = _drive(SpikeModel(finger), current_ma) >= 1
     along = np.linspace(-0.25, 1.25, _ACROSS)[:, None]
     line = places_mm[0] + along * (places_mm[1] - places_mm[0])
@@ -303,7 +301,7 @@ def _letters(bench: Bench, model: SpikeModel) -> dict[str, float]:
 
 
 Measured = Mapping[str, Sequence[Mapping[str, float]]]
-"""Values of each finger by key, as from `measured`, by anatomy."""
+"""For each anatomy, the result of `measured` for each finger."""
 
 
 def interval(values: Sequence[float]) -> tuple[float, float, float]:

@@ -50,15 +50,15 @@ from smarttouch.running.config import RunConfig
 Counts, Values = NDArray[np.intp], NDArray[np.float32]
 ANATOMIES = ("paper", "branched")
 TUNED, HELD_OUT = (1, 2), 101
-"""Seeds of the fingers for choosing a setting, and first seed of the fingers for testing it."""
+"""`TUNED`: seeds of fingers that choose settings. `HELD_OUT`: first seed of fingers for tests."""
 MOST_LINES = 2  # largest number of lines read on a page
 LEAST_LOWER = 16
 """Smallest number of lowercase letters in a line that is read, so that headings are skipped."""
-MOST_LAG = 24  # largest number of pulses in which the finger is assumed to move by one pitch
+MOST_LAG = 24  # largest number of pulses per pitch that is tried
 SAMPLE = "sample_images/page.png"
 OBSERVERS = ("knows the path", "spikes alone")
 JITTER_MM = (0.5, 1.0)
-"""Standard deviations of the independent errors of an observer's position at each pulse."""
+"""Standard deviations of position errors, which are independent from pulse to pulse."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Setting:
     level: float = 1.0  # current, relative to the strongest comfortable current
     style: str = "graded"
     scan: str = "auto"
-    speed: float = 1.0  # speed, relative to that with four pulses of each electrode per pitch
+    speed: float = 1.0  # at 1, each electrode pulses four times per pitch
     size: float = 1.0  # height of a line, relative to the array
 
 
@@ -121,8 +121,8 @@ def delivered(page: str, setting: Setting) -> tuple[tuple[DeliveredLine, ...], s
 
 
 def step_by_spikes(values: NDArray[np.float32]) -> float:
-    """Estimate how far the finger moves from pulse to pulse, mm, from spikes around electrodes,
-    (N, E): the pitch divided by the lag with the highest correlation of neighboring columns."""
+    """Estimate how far the finger moves from pulse to pulse, mm: the pitch divided by the lag at
+    which neighboring columns correlate most. ``values``, (N, E), are spikes around electrodes."""
     places_mm = profile().electrodes.position_mm[:, 0]
     columns = np.unique(places_mm.round(3))
     by_column = np.stack([values[:, np.isclose(places_mm, x)] for x in columns], axis=1)
@@ -137,11 +137,11 @@ def step_by_spikes(values: NDArray[np.float32]) -> float:
     return float(columns[1] - columns[0]) / lag
 
 
-FULL_QUANTILE = 0.99  # quantile of the spikes around electrodes that is scaled to 1
+FULL_QUANTILE = 0.99  # this quantile of each sequence's largest value is scaled to 1
 
 
 def spikes_of(lines: Sequence[DeliveredLine], finger: Finger) -> Iterator[dict[int, Counts]]:
-    """Yield for each line the spike counts of afferents, (A,), by the number of the sequence."""
+    """Yield, for each line, a dictionary from sequence numbers to spikes of each afferent, (A,)."""
     model, silent = SpikeModel(finger), np.zeros(len(finger.classes), np.intp)
     for line in lines:
         periods = dict.fromkeys(line.poses, round(1e6 / finger.profile.pulse.rate_hz))
@@ -151,8 +151,8 @@ def spikes_of(lines: Sequence[DeliveredLine], finger: Finger) -> Iterator[dict[i
 
 
 def shown_by(lines: Sequence[dict[int, Counts]], finger: Finger) -> list[list[Values]]:
-    """Return the spikes of all classes around each electrode, (E,), for each sequence of each line,
-    scaled by `FULL_QUANTILE` and clipped to [0, 1]."""
+    """Return, for each line and sequence, the spikes of all classes around each electrode, (E,).
+    Values are scaled as `FULL_QUANTILE` states, and clipped to [0, 1]."""
     away_mm = finger.receptor_mm[:, None] - finger.profile.electrodes.position_mm
     field = np.exp(-(away_mm**2).sum(axis=2) / (2 * FIELD_MM**2)).astype(np.float32)
     felt = [[counts @ field for counts in line.values()] for line in lines]
@@ -221,7 +221,7 @@ def read_page(page: str, anatomy: str, seed: int, setting: Setting) -> PageRow:
 def rows_of(
     kept: Path, page: str, anatomy: str, seeds: Sequence[int], setting: Setting
 ) -> list[PageRow]:
-    """Return the rows of fingers; compute and store those that the file does not have."""
+    """Return a row for each finger. Compute and store the rows that are not in the file."""
     lines = kept.read_text().splitlines() if kept.is_file() else []
     known = [
         PageRow(**row | {"setting": Setting(**row["setting"])}) for row in map(json.loads, lines)
@@ -270,7 +270,7 @@ def worst(rows: Sequence[PageRow]) -> dict[Setting, float]:
 
 
 def chosen(kept: Path) -> tuple[Setting, list[PageRow]]:
-    """Return the level and style with the smallest error on the `TUNED` fingers, and all rows."""
+    """Return the best level and style on the `TUNED` fingers, and rows of each tested setting."""
     grid = [Setting(level, style) for style in STYLES for level in LEVELS]
     both = itertools.product(grid, ANATOMIES)
     rows = [row for each, one in both for row in rows_of(kept, SAMPLE, one, TUNED, each)]

@@ -27,15 +27,14 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.vibration_thresholds import best_hz, threshold_um
 
 AFFERENT_UM = {Afferent.RA: 30.0, Afferent.PC: 1.2}
-"""Median threshold amplitude of afferents at the best frequency of their class (our choice). In
-TouchSim, none of nine RA afferents responds to 8 µm at 30 Hz; about 45 µm are needed. In
-perception, RA responds to lower amplitudes at 30 Hz than PC."""
+"""Median threshold amplitude of each class at its best frequency, 30 Hz for RA (our choice). In
+TouchSim, none of nine RA afferents responds to 8 µm at 30 Hz; about 45 µm are needed."""
 DEEPER_MM = {Afferent.PC: 2.0}
-"""Increase of the radius of a stimulus at the depth of PC (our choice: equal to the depth)."""
+"""A stimulus widens with depth. At the depth of PC, its radius is larger by this (our choice)."""
 LOCKED = 1.8
-"""Amplitude with a spike in every cycle, relative to the threshold amplitude (our choice)."""
+"""Amplitude at which each cycle causes a spike, relative to the threshold (our choice)."""
 SPREAD = 0.35
-"""Standard deviation of the logarithm of thresholds, and of rates of SAI (our choice)."""
+"""Standard deviation of the logarithms of RA and PC thresholds and SAI rates (our choice)."""
 PROBE_MM = 1.0
 """Default radius of the probe that touches the skin (our choice)."""
 
@@ -55,10 +54,9 @@ def skin_spikes(
     trace: Trace,  # displacement and force of the probe
     place_mm: tuple[float, float] = (0.0, 0.0),  # center of the probe
     radius_mm: float = PROBE_MM,  # radius of the probe
-    seed: int = 1,  # seed of thresholds and of cycles without a spike
-    # sai_full_n, sai_rate_hz: force at which the drive of SAI is 1, and rate of SAI at this force
-    sai_full_n: float = SAI_FULL_N,
-    sai_rate_hz: float = SAI_RATE_HZ,
+    seed: int = 1,  # seed of the thresholds and of the choice of cycles without a spike
+    sai_full_n: float = SAI_FULL_N,  # force at which the drive of SAI is 1
+    sai_rate_hz: float = SAI_RATE_HZ,  # rate of SAI at this force
 ) -> SkinSpikes:
     """Return the spikes of a finger's afferents during a trace of vibration and pressure.
 

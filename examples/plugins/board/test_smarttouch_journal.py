@@ -22,7 +22,7 @@ class TestJournal(DriverContract):
         return self.path.read_bytes()
 
     def decode(self, data: bytes) -> list[SentPulse]:
-        """Return the pulses of a journal, those of a scan once for each pass."""
+        """Return the pulses of a journal. The pulses of a scan are repeated for each pass."""
         found: list[SentPulse] = []
         for part in re.split(r"^(?=zero|scan)", data.decode(), flags=re.MULTILINE)[1:]:
             head, *slots = part.splitlines()
