@@ -52,7 +52,7 @@ def session():
 
 @prioritized()
 def drive(board, seconds=60.0):
-    """Send to an open board without a run, with real-time priority."""
+    """Send sequences to an open board directly, without a run, at real-time priority."""
     source, ends_s = st.open_source(TEXT, display.profile), time.monotonic() + seconds
     for step in st.steps(source, display.profile, intensity=0.05, scan="points"):
         board.send(step.sequence)

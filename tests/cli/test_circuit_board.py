@@ -41,7 +41,7 @@ def numbers(expression, name):
 
 
 def copper(pad):
-    """Return the center of a pad, and its shape and size in the terms of profiles, mm."""
+    """Return the center of a pad, mm, and its shape and size as a profile states them."""
     place, (width, height) = numbers(pad, "at"), numbers(pad, "size")
     if pad[3] == "circle":
         assert width == height
@@ -50,7 +50,7 @@ def copper(pad):
         return (*place, "rectangle", width, height)
     (ring,) = parts(parts(pad, "primitives")[0], "gr_circle")
     radius, line = np.hypot(*numbers(ring, "center")), numbers(ring, "width")[0]
-    # Only the ring is copper: it is not filled, and the anchor of the pad lies on its line.
+    # Only the ring is copper. Its inside is not filled, and the pad's anchor lies on the ring.
     assert parts(ring, "fill") == [["fill", "no"]]
     assert (width, height) == (line, line)
     return (*(place + numbers(ring, "center")), "annulus", 2 * radius + line, 2 * radius - line)

@@ -133,6 +133,6 @@ def test_a_stopped_terminal_delays_the_screen_and_neither_the_run_nor_its_keys(t
         figures = ended(process, tmp_path)
     assert b"key q" in shown
     assert figures["ended"] == "key q"
-    # Mode SAI lasted for the second without drawing: 50 steps, or fewer on a busy computer.
+    # Mode SAI lasted for 1 s at least. This is 50 steps, or fewer on a busy computer.
     modes = [each.step.mode for each in RecordedRun(tmp_path / "run.mcap").steps()]
     assert modes.count(Mode.SAI) > 10

@@ -47,7 +47,7 @@ def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
     before = path.read_bytes()
     assert first.figures["emulator_violations"] == 0
     again = program_here(one)
-    # A complete session gets no answers, so the note on simulated answers must not come first.
+    # The session was already complete, so the output does not begin with a note on its answers.
     assert re.findall(r"\d+", again.stdout.splitlines()[0]) == ["10", "10", "10"]
     assert path.read_bytes() == before
     path.write_bytes(before[:-20])
@@ -141,7 +141,7 @@ def test_what_cannot_be_asked_for(program_here, arguments, check):
 
 
 def session(path, thresholds, seed=0):
-    """Write simulated answers to each standard; without a threshold all are the first interval."""
+    """Write simulated trials of each standard. Without a threshold, every answer is interval 1."""
     with path.open("w", newline="", encoding="utf-8-sig") as file:
         writer = csv.writer(file)
         writer.writerow(["standard", "comparison", "comparison_interval", "unit", "success"])

@@ -52,7 +52,7 @@ def test_signals_end_in_order(running, number, name):
 @pytest.mark.realtime
 def test_the_board_dies_and_its_port_with_it(start_program, start_emulator, tmp_path):
     emulator, port, books = start_emulator(64, "link", "linger=0.2")
-    # Use a link to the port, because the system gives the name of a closed port to the next one.
+    # Use a link to the port, because a new port can get the name of a closed port.
     name = tmp_path / "port"
     name.symlink_to(port)
     host = start_program(

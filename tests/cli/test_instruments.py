@@ -32,7 +32,7 @@ def test_all_three_on_an_emulated_board(played, tmp_path):
     figures = played(f"vibration:{spec}?seconds=1", "--intensity 0.3 --record r.mcap")
     assert figures["ended"] == "the end of the trace"
     assert figures["emulator_violations"] == 0
-    # At each of four sites, at least 28 RA pulses (30 Hz) and 120 PC pulses (half of 250 Hz).
+    # Each of four sites has at least 28 RA pulses (at 30 Hz) and 120 PC pulses (at 125 Hz).
     assert figures["slots"] > 4 * (28 + 120)
     assert "PC pulses stimulate another class" in figures["noted"]
     assert_replays(tmp_path / "r.mcap")
@@ -40,7 +40,7 @@ def test_all_three_on_an_emulated_board(played, tmp_path):
 
 def test_without_options_a_virtual_hand_strokes_a_grating(played, tmp_path):
     figures = played("texture:", "--intensity 0.7 --felt felt.png --set finger=paper")
-    # 60 mm there and back over a grating of 4 mm: 15 ridges each way, at 64 electrodes.
+    # The hand moves 60 mm and back over ridges 4 mm apart: 64 electrodes cross 15 ridges twice.
     assert figures["slots"] == pytest.approx(2 * 15 * 64, abs=64)
     assert figures["emulator_violations"] == 0
     assert figures["ended"] == "the hand has stopped"

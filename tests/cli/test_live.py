@@ -90,7 +90,7 @@ def test_every_profile_runs(figures_of, tmp_path, name):
         assert (tmp_path / "felt.png").stat().st_size > 1000
         return
     page, delivered, felt = panels(tmp_path / "felt.png", 3)
-    # The smallest measured correlations are .58 and .53.
+    # Over all profiles, the smallest measured correlations are .58 and .53.
     assert ink_agreement(page, delivered) > 0.5
     assert ink_agreement(page, felt) > 0.4
 
@@ -171,11 +171,11 @@ def test_where_it_does_not_fit_the_rate_falls_with_a_note(live, program_here):
 
 def test_a_board_on_a_line_makes_them(live, start_emulator):
     _, port, books = start_emulator(64, "link")
-    # Stop the run within the word: charge that is left after one scan is recharged in the next.
     options = f"--board link:{port} --force fixed:1 --set balance --seconds 0.8"
     figures = live(options).fine().figures
     assert figures["emulator_violations"] == 0
     state = fresh_state(books)
     assert state["recharges"] == len(read_slots(books, recharges=True)) > 0
     assert (state["unsafe"], state["violations"]) == (0, 0)
+    # Each scan recharges what earlier scans left. The last scan leaves little charge.
     assert np.abs(state["passed_uc"]).max() < 0.02

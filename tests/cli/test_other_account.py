@@ -148,7 +148,7 @@ COMMANDS = {
 @pytest.mark.parametrize("name", COMMANDS)
 def test_files_and_folders_of_a_command(program_here, tmp_path, monkeypatch, name):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    # The test excludes the folder of run states, so the mode of this folder does not matter.
+    # The check at the end skips the folder ``state``, so make this folder with any mode.
     (tmp_path / "state").mkdir()
     (tmp_path / "pictures").mkdir(mode=0o700)
     before = os.umask(0)

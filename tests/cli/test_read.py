@@ -61,7 +61,7 @@ def test_an_image_without_a_board(program_here, tmp_path):
     done = program_here(f"read small.png --set paced=no {kept}").fine()
     assert done.stderr.strip() == ""
     assert done.figures["ended"] == "end of the text"
-    # From top to bottom, page, delivered current and felt spikes must look alike.
+    # The panels show the page, the delivered current and the spikes. All must look alike.
     above, delivered, felt = panels(tmp_path / "felt.png", 3)
     assert np.corrcoef(above.ravel(), delivered.ravel())[0, 1] > 0.7
     assert np.corrcoef(above.ravel(), felt.ravel())[0, 1] > 0.4

@@ -87,8 +87,8 @@ def test_a_signal_ends_a_program_at_zero_with_its_recording(start, tmp_path, kin
     until(lambda: read_state(books)["slots"] > 50)
     process.send_signal(number)
     process.communicate(timeout=PATIENCE_S)
-    # A run in another thread handles no signal: the system ends the process, and the board goes to
-    # zero when it hears nothing.
+    # A run in another thread handles no signal: the system ends the process. The board goes to zero
+    # at its host timeout.
     assert process.returncode == (-number if kind == "thread" else 128 + number)
     if kind == "thread":
         return
@@ -110,13 +110,13 @@ def test_a_program_keeps_a_handler_of_its_own(start, tmp_path):
 def test_a_stop_at_any_instant_reaches_every_program(start, start_program, runs):
     draw = random.Random(33)
     for _ in range(runs or (3 if WHOLE else 1)):
-        # Two, as the budget of a user is.
+        # The current limit of a user allows two boards at a time.
         programs = [start(kind) for kind in draw.sample(["run", "board", "left open"], 2)]
-        # Some programs have registered by then, others have not.
+        # When the stop comes, each program may or may not have registered its run.
         time.sleep(draw.uniform(0.05, 2.0))
         stop = start_program("stop")
         stop.communicate(timeout=PATIENCE_S)
-        # The exit code is 1 if neither had begun to open its board.
+        # `smarttouch stop` exits with 1 if neither program had begun to open its board.
         assert stop.returncode in (0, 1)
         for _, books in programs:
             until(lambda books=books: read_state(books)["reason"])

@@ -28,7 +28,7 @@ FIRST = re.compile("window: (http://[^ ]+) ")
 
 
 def receive(page, kind):
-    """Return the next message of a kind; confirm each update before it with "seen"."""
+    """Return the next message of a kind. Answer each earlier update with "seen"."""
     while True:
         message = json.loads(page.recv(timeout=60))
         if message["type"] == kind:
