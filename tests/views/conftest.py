@@ -1,4 +1,4 @@
-"""Fixtures for runs with a window, each in a thread, on a board that keeps its sequences."""
+"""Fixtures that start runs with a window, each in a thread of the test's process."""
 
 import threading
 from contextlib import contextmanager
@@ -16,7 +16,7 @@ from ..support.runs import until
 from .browser import chromium
 
 WAIT_S = 60
-MARGIN_MM = 1.2  # shown around the electrodes
+MARGIN_MM = 1.2  # margin that the page shows around the electrodes
 CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
 
 
@@ -55,7 +55,7 @@ class Run:
         self.board = self.display.board
         self.runner = Runner(
             source, self.display, st.RunConfig(intensity=1.0, rate_hz=rate_hz), stop=self.stop,
-            # `keep` comes first, so that a page shows only stored results.
+            # `keep` comes first: a result that a page shows is already in ``results``.
             listeners=[self.keep, self.window],
         )  # fmt: skip
         self.thread = threading.Thread(target=self.runner.run)
@@ -119,7 +119,7 @@ PIXELS = """array => {
 
 
 def drawn(page, profile):
-    """Return the color of each electrode on the canvas, and the numbers of sequence and slot."""
+    """Return the electrodes' colors on the page, and the numbers of the sequence and slot shown."""
     electrodes = profile.electrodes
     return page.evaluate(PIXELS, {
         "extent": [each + 2 * MARGIN_MM for each in electrodes.extent_mm],

@@ -22,7 +22,7 @@ AREA = ((0.0, 0.0), (200, 300), 0.1)
 
 @pytest.fixture
 def drawing(profile, make_bank):
-    """Return a drawing in which a receptor responds only to anodic current of its electrode."""
+    """Return a drawing. Each receptor responds only to anodic current of its own electrode."""
     own = -np.eye(64, dtype=np.float32)
     sheet = Sheet(0, Page(np.full((200, 300), 255, np.uint8), 0.1))
     return PageDrawing(profile, make_bank(own, own), (Afferent.RA,), lambda: sheet)

@@ -33,7 +33,7 @@ def test_all_that_a_terminal_obeys_has_a_visible_stand_in():
 
 
 def test_words_stay_as_they_are():
-    # Some scripts need joiners, combining marks or characters beyond the basic plane.
+    # Some writing systems need joiners, combining marks or characters beyond the basic plane.
     for text in ("naïve Ω", "می‌خواهم", "क्‍ष", "ਸ਼", "👩‍🔬", "⠓⠑⠇⠇⠕", "a\tb\nc", "−µ×"):
         assert printable(text) == text
 

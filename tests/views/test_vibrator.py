@@ -17,7 +17,7 @@ STEEPEST = 2 * np.pi * 250 / RATE_HZ + 1 / (FADE_S * RATE_HZ)
 
 
 def result(vibration, time_s=0.0, period_s=PERIOD_S, number=1):
-    """Return a step with a vibration of the second of two sites, or without one if it is None."""
+    """Return a step with two sites. The second site vibrates, unless ``vibration`` is None."""
     none = np.zeros(0, np.uint16)
     shaken = None if vibration is None else np.array([0, vibration], np.float32)
     sequence = ScanSequence(
@@ -88,7 +88,7 @@ class FakeSound(types.ModuleType):
         super().__init__("sounddevice")
         self.active = True
 
-    # The name of the class in sounddevice.
+    # This method replaces the class of the same name in sounddevice.
     def OutputStream(self, rate_hz, callback, **options):  # noqa: N802
         assert (rate_hz, options["channels"]) == (RATE_HZ, 1)
         self._fill = callback

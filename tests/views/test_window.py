@@ -49,7 +49,7 @@ def ask(run, method, path, **headers):
 
 
 def receive(socket, kind):
-    """Return the next message of a kind; confirm each update before it with "seen"."""
+    """Return the next message of a kind. Answer each earlier update with "seen"."""
     while True:
         message = json.loads(socket.recv(timeout=20))
         if message["type"] == kind:

@@ -74,7 +74,7 @@ def test_a_second_page_takes_over_when_the_first_is_closed_and_can_always_stop(o
         page.wait_for_selector("#steer[aria-pressed=true]")
         # Space pauses the run on the page that steers, and stops the run on any other page.
         with opened(browser, run.address) as other:
-            # Wait for button `less`: at full level `more` is also disabled on the page that steers.
+            # A page that does not steer disables `less`. (At full level all pages disable `more`.)
             other.wait_for_selector("#less:disabled")
             other.keyboard.press("Space")
             assert run.ended() == "the window"
