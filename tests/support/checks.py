@@ -54,7 +54,7 @@ def assert_says(error, value=None, allowed=None, names=None, **attributes):
 
 
 def _shows(message, expected):
-    """Return whether a message has a name or number (also in % or millions), or all of a list."""
+    """Return whether a message shows a name, a number (also in % or millions), or all of a list."""
     expected = getattr(expected, "expected", expected)
     found = [float(each.replace(",", "")) for each in re.findall(_NUMBER, message)]
     if callable(expected):

@@ -68,7 +68,7 @@ class _Server:
 
 
 class _SelfServer:
-    """Replacement for `_Server` in a forked program, which forks itself to emulate a board."""
+    """Variant of `_Server` in a forked program. The program forks itself to emulate a board."""
 
     def fork(self, request, streams):
         # Text that is still buffered would be written by parent and child.
@@ -149,7 +149,7 @@ class Forked(subprocess.Popen):
 
 
 def _serve(channel):
-    """Fork a program at each request. Return its main function in the fork, None at the end."""
+    """Fork at each request. Return the requested program in the fork, and None in the server."""
     for module in _IMPORTED:
         import_module(module)
     import_module("smarttouch.cli")._built()
@@ -158,7 +158,7 @@ def _serve(channel):
     # Write the delivery log more often, because many tests wait for it.
     import_module("smarttouch.emulator.devices")._WRITE_EVERY_NS = 10_000_000
     gc.collect()
-    # Otherwise a garbage collection in a fork would write to these objects and so copy them.
+    # Otherwise the garbage collector of each fork would modify, and so copy, all objects.
     gc.freeze()
     while True:
         message, streams, _, _ = socket.recv_fds(channel, _LONGEST, 3)
@@ -214,7 +214,7 @@ def _become(request, streams):
 
 
 def _run_and_end(main):
-    """Run a program and its exit handlers, then exit without clearing the interpreter."""
+    """Run a program and its exit handlers, then exit at once, without freeing Python's objects."""
     code = 0
     try:
         main()

@@ -32,7 +32,7 @@ def until(holds):
 
 
 def undisturbed(attempt):
-    """Repeat an attempt until its run had no late sequence; return all results but the statistics.
+    """Repeat an attempt until no sequence is late; return its results without the statistics.
 
     A late sequence restarts the ramp, which changes the results. Other tests cover restarts.
     """

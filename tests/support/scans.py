@@ -44,7 +44,7 @@ def unproved(
 
 
 def prove_alone(profile, sequence):
-    """Check all limits of a sequence except the ramp, without earlier sequences."""
+    """Check a single sequence against all limits except the ramp."""
     limits = SafetyLimits.of(profile)
     load = prove_sequence(frozen(sequence), limits, parts_per_billion(sequence.intensity))
     Exposure(limits).enter(sequence.time_ns, sequence.period_us, 1, load, flows=True)
@@ -61,9 +61,9 @@ def board_without_finger(profile, kind=MemoryDriver, **options):
 def open_level(send, like, limits, time_ns=0, clock=None, electrodes=(0, 1)):
     """Complete the ramp: send a sequence of zero intensity, then weak ones of rising intensity.
 
-    They are copies of ``like`` with current through two electrodes. Their times begin at
-    ``time_ns`` and span less than a second. ``clock``, if any, is the clock of a gate; it advances
-    by a second. The ramp of ``limits`` must not exceed half a second.
+    Each weak sequence is a copy of ``like`` with current through two electrodes. The times of the
+    sequences begin at ``time_ns`` and span less than a second. If the gate's ``clock`` is given,
+    this function advances the clock by a second. The ramp must not be longer than half a second.
     """
     first = np.zeros(2, np.uint16)
     weak = np.zeros((2, like.current_ua.shape[1]), np.int16)
@@ -93,7 +93,7 @@ def open_level(send, like, limits, time_ns=0, clock=None, electrodes=(0, 1)):
         if step < steps:
             share = (step + 1) / steps
             current = np.zeros_like(weak)
-            # The least current that reaches this intensity; the two slots cancel their charge.
+            # Use the least current for this intensity. Slot 2 cancels the charge of slot 1.
             least_ua = math.ceil(share * limits.full_ua / STRENGTH)
             current[:, list(electrodes)] = [[least_ua, -least_ua], [-least_ua, least_ua]]
             send(
