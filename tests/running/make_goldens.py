@@ -35,25 +35,23 @@ FOLDER = Path(__file__).parent / "goldens"
 IMAGES = 8
 """Number of images in a recording. The camera is slower than the loop, to keep files small."""
 BEGIN, END = 0.68, 0.94
-"""Recorded part of the finger's path, as shares of its duration, without most of the margin."""
+"""Shares of the path's duration at which recording begins and ends, to skip most of the margin."""
 
 
 @dataclass(frozen=True)
 class Golden:
-    """Run to record. ``settings`` are fields of `RunConfig`; ``wishes`` are states of the controls,
-    each with its start in s. The board is lost at sequence ``lost_at``. If ``has_stimuli``, the
-    source gives stimuli instead of frames."""
+    """Description of a run to record."""
 
     name: str
     mode: Mode
     text: str
     seconds: float
-    settings: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)  # fields of `RunConfig`
     profile: str = "electric-mouse"
     timing: ScanTiming = field(default_factory=ScanTiming)
-    wishes: tuple[tuple[float, ControlState], ...] = ()
-    lost_at: int | None = None
-    has_stimuli: bool = False
+    wishes: tuple[tuple[float, ControlState], ...] = ()  # start in s and state of the controls
+    lost_at: int | None = None  # number of the sequence at which the board is lost
+    has_stimuli: bool = False  # whether the source gives stimuli instead of frames
 
 
 GOLDENS = (

@@ -27,7 +27,7 @@ DIFFERENCE = re.compile(r": (\w+)\[\d+, (\d+)\] (-?\d+) recorded, (-?\d+) now")
 
 
 def with_weight(bank, afferent, site, electrode, by):
-    """Return a bank with one weight changed by ``by`` times the peak of its kernel."""
+    """Return a copy of a bank. In it, one weight differs by ``by`` times the peak of its kernel."""
     weights = bank.weights[afferent].copy()
     weights[site, electrode] += by * np.abs(weights[site]).max()
     return replace(bank, weights={**bank.weights, afferent: weights})
@@ -65,7 +65,7 @@ def test_goldens_hold_what_they_are_for(goldens):
     assert len(restarts) == 2
     proved = [each.step.sequence.proof for each in steps["shared"] if each.step.sequence.proof]
     assert max(int(each.points.max(initial=0)) for each in proved) >= 4
-    # RA points share slots. SAI points have their own slots without proof, marked by 0 points.
+    # Points of RA share slots. Each point of SAI has a slot of its own, marked by ``points`` 0.
     assert any((each.points > 1).any() and not each.points.all() for each in proved)
 
 

@@ -51,7 +51,7 @@ class BrokenStageError(Exception):
 
 
 class Bars(OpticalSource):
-    """Sensor that sees a moving bar, so short that net current does not limit the rate."""
+    """Sensor that sees a moving bar. The bar is short, so net current does not limit the rate."""
 
     def __init__(self, most=100, fails_at=None, **frame):
         super().__init__("bars")
@@ -149,7 +149,7 @@ def test_a_late_loop_moves_its_schedule_and_never_hurries(play):
 
 @pytest.mark.parametrize(("own_work", "first_ns"), [(False, 27 * MS), (True, 20 * MS)])
 def test_a_board_whose_clock_is_behind_is_followed(play, board, monkeypatch, own_work, first_ns):
-    """After one wait for the board, deadlines are 7 ms later; processor time is not a wait."""
+    """After one wait for the board, deadlines are 7 ms later. Processor time is not such a wait."""
     clock, send = FakeClock(), board.driver.write
 
     def held_up(proved):
@@ -159,7 +159,7 @@ def test_a_board_whose_clock_is_behind_is_followed(play, board, monkeypatch, own
         return send(proved)
 
     monkeypatch.setattr(board.driver, "write", held_up)
-    # Replace the processor time: it is all of the fake clock's time, or zero.
+    # Count all time of the fake clock as processor time, or none of it.
     monkeypatch.setattr("time.thread_time_ns", lambda: clock.time_ns * own_work)
     run = play(Bars(20), clock=clock)
     assert np.diff(clock.deadlines).tolist() == [first_ns] + [PERIOD_NS] * 19
@@ -186,7 +186,7 @@ def test_an_exception_in_any_stage_ends_at_zero(monkeypatch, play, pipeline, boa
 
 
 def test_a_board_that_was_lost_and_is_back_begins_at_zero(monkeypatch, play, board):
-    """Listeners also receive the lost step; the time of the loss is not a period error."""
+    """Listeners receive the step that was lost. The interruption is not a period error."""
     send, clock, seen, words = board.driver.write, FakeClock(), [], "the board at x has vanished"
 
     def lose(proved):
@@ -230,7 +230,7 @@ def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(play, b
     run = play(Bars(100), lift)
     found = run.intensities
     assert found[39:55] == [1] + [0] * 15
-    # After 0.3 s the loop sends weak pulses, and stops because the finger is still lifted.
+    # After 0.3 s the loop sends weak pulses. The finger is still lifted, so pulses stop again.
     assert 0 < max(found[55:60]) <= 0.05
     assert run.statistics.lifts == 2
     assert max(np.diff(found)) <= 0.0401
@@ -256,7 +256,7 @@ def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
     away = int(np.argmax(np.diff(time_s[driven])))
     # The finger is lifted for 0.6 s. The board reports the lift with more delay than the return.
     assert np.diff(time_s[driven])[away] > 0.3
-    # After a delay of the computer, the ramp may catch up by `LATE_NS`.
+    # So that late sequences catch up, intensity may exceed the ramp by the rise in `LATE_NS`.
     rise_s = np.diff(time_s) + LATE_NS / 1e9
     assert np.all(np.diff(found) <= rise_s / profile.limits.ramp_s + 0.01)
     assert max(found[: driven[away]]) == 1
@@ -414,7 +414,7 @@ class Scanning:
         self.starts, self.free_ns, self.paused_ns, self.is_silent = {}, 0, 0, is_silent
 
     def send(self, number, sent_ns):
-        """Receive a sequence, and return its start by the loop's clock."""
+        """Receive a sequence. Return its start time on the loop's clock."""
         here_ns = sent_ns + self.line_ns + 15 * MS * (number == self.held_up_at)
         begun_ns = max(self.free_ns, here_ns)
         self.paused_ns += begun_ns - self.free_ns
@@ -429,8 +429,8 @@ class Scanning:
 
 
 def followed(delays_ns, first_ns=0, **kind):
-    """Return each sequence's wait on the board, given its delay from deadline to last byte; also
-    the board and the statistics. ``first_ns`` is when the board becomes free."""
+    """Send sequences to a `Scanning` board that is free from ``first_ns`` on. Return the wait of
+    each sequence there, the board, and statistics. A delay is from a deadline to the last byte."""
     board, statistics, zero_ns, waits_ns = Scanning(**kind), RunStatistics(), 0, []
     board.free_ns, phase = first_ns, PhaseLock(board, statistics)
     for number, delay_ns in enumerate(delays_ns):
@@ -456,7 +456,7 @@ def test_a_sequence_waits_no_longer_than_jitter_requires(jitter_ns):
     assert settled_ns.max() <= GUARD_NS + board.line_ns + jitter_ns
     assert np.median(settled_ns) <= GUARD_NS + board.line_ns + 0.6 * jitter_ns
     assert board.paused_ns < 0.002 * 200 * board.period_ns
-    # The newest sequence has not begun. Images are taken at least 4 ms before the last byte.
+    # Only the last sequence has not begun. Each sequence is sent at least 4 ms after its image.
     assert statistics.waited.count == statistics.first_pulse.count == 199
     assert statistics.first_pulse.largest_us >= statistics.waited.largest_us + 4000
 

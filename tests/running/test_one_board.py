@@ -42,7 +42,7 @@ class Kept(st.Listener):
     ("smarttouch-4x4", "RA", "auto", False),
 ])  # fmt: skip
 def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path, monkeypatch):
-    # Both ramps use the claimed times of sequences, not the computer's clock.
+    # On both boards, the ramp uses the times stated in sequences, not the computer's clock.
     monkeypatch.setattr("smarttouch.boards.open.Board", partial(Board, claimed_time=True))
     profile, found = st.load_profile(name), {}
     for url, options in (("simulated:", {}), ("emulator:", {"books": tmp_path})):
@@ -57,7 +57,7 @@ def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path, monkeypa
     (board, kept, figures), (other, its, its_figures) = found.values()
     assert (figures, kept.sent, kept.force_n) == (its_figures, its.sent, its.force_n)
     assert board.capabilities == other.capabilities
-    # Over a line, the voltages of the last sequences arrive after the last step.
+    # Voltages come from ``emulator:`` with a delay: the last ones arrive after the last step.
     assert set(kept.volts) >= set(its.volts)
     assert [kept.volts[time_ns] for time_ns in its.volts] == list(its.volts.values())
     assert len(its.volts) > 10

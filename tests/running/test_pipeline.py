@@ -46,7 +46,7 @@ def pipeline_of(profile, bank):
 
 @pytest.mark.parametrize("taller", [1, 7])
 def test_a_bar_fires_the_electrodes_over_it(pipeline_of, make_frame, patch, taller):
-    """This holds for frames of any size, which can also change during a run."""
+    """Frames can have any size, and their size can change during a run."""
     pipeline = pipeline_of()
     pipeline.process(make_frame(patch(), 0))
     step = pipeline.process(make_frame(patch(24, 40).repeat(taller, 0), SECOND_NS))
@@ -145,7 +145,7 @@ def test_each_class_pulses_with_its_own_kernel_where_it_is_asked_for(profile, ba
 
 
 @pytest.mark.parametrize(("asked", "period_us", "slots"), [
-    # The level is so low that net current, which has one sign here, does not limit the rate.
+    # All pulses have the same sign, but at this low level net current does not limit the rate.
     ({}, 7_000, 0), ({RA: (27,)}, 66_667, 1), ({RA: (27,)}, 22_222, 1), ({RA: (27,)}, 5_000, 1),
 ])  # fmt: skip
 def test_any_period_down_to_the_limit_is_kept(settled, asked, period_us, slots):
@@ -157,7 +157,7 @@ def test_pulses_that_do_not_fit_lengthen_the_period_with_a_note(profile, settled
     everything = {each: range(64) for each in Afferent}
     step = settled(Mode.COLOR).process(asking(everything, 10_000, NOW))
     assert step.asked_us == 10_000
-    # PC is stimulated below the place where it is felt: the 8 points of the last row have no slot.
+    # PC is stimulated one row below the receptor, so the 8 points of the last row have no slot.
     assert step.sequence.slots == 3 * 64 - 8
     assert step.sequence.period_us >= step.sequence.slots * 300
     prove_alone(profile, step.sequence)
@@ -233,7 +233,8 @@ class Brighter(StimulusSource):
 @pytest.mark.parametrize("url", ["memory:", "emulator:"])
 @pytest.mark.parametrize("period_us", sample([20_000, 120_000]))
 def test_strong_pulses_after_weak_ones_rise_by_the_ramp(url, period_us, profile, changed):
-    """Pulses at .17 of full strength raise the ramp to .68. The board refuses no sequence."""
+    """The ramp counts weak pulses, .17 of full current, as .68. Strong pulses rise from there.
+    The board refuses no sequence."""
     sensitive = changed(profile, {"perception.threshold_ma": 0.3, "perception.comfort_ratio": 8.0})
 
     def attempt():
@@ -357,7 +358,7 @@ def test_by_the_emulators_books_charge_is_back_and_the_same_is_felt(
         pipeline.regulator = regulator
         with board_without_finger(profile, SimulatedDriver) as board:
             for index in range(40):
-                # This period is long enough for each method, so all process the same frames.
+                # The period is long enough for each method, so all methods get the same frames.
                 frame = make_frame(patch(index, index + 9), index * 60_000_000)
                 board.send(pipeline.process(frame).sequence)
             books = board.driver._firmware.books

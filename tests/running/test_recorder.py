@@ -73,7 +73,7 @@ def test_the_plain_reader_reads_it(recording, steps):
 
 
 def test_another_image_of_the_same_number_is_not_lost(tmp_path, steps, record):
-    """If a sensor gives the same number to different images, all are recorded."""
+    """If a sensor gives the same number to different images, all these images are recorded."""
     images = [np.full((64, 64), grey, np.uint8) for grey in (10, 10, 200)]
     was = steps[0].step
     made = [

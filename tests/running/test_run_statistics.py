@@ -34,7 +34,7 @@ def test_extremes_have_a_place():
 
 
 def sent(number=0, proof=None):
-    """Return the result of a step with one slot on one electrode, from a frame of this number."""
+    """Return the result of a step from frame ``number``, with one slot on one electrode."""
     frame = Frame(np.zeros((1, 1), np.uint8), 0, Pose(0, 0), 0.0, number)
     tactile = TactileImage(np.zeros((3, 1), np.float32), 0, 0.0)
     one = np.ones(1, np.uint16)

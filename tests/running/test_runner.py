@@ -130,7 +130,7 @@ def test_an_exception_in_a_listener_ends_at_zero(source, display, stage, monkeyp
 
 
 def test_an_interrupted_run_ends_at_once_and_its_program_goes_on():
-    """The stop button of a notebook also sends SIGINT."""
+    """Ctrl-C and the stop button of a notebook send SIGINT."""
     results, main = [], threading.main_thread().ident
 
     def interrupt(result):
@@ -182,7 +182,7 @@ def test_on_a_finger_an_intensity_is_required(profile, source):
     display = st.open_display("link:/dev/nowhere", profile)
     with raises(st.SmartTouchError, names="intensity"):
         Runner(source, display, RunConfig()).run()
-    # With an intensity, the next error is about the missing port.
+    # If an intensity is given, the error is about the missing port.
     with raises(BoardError, names="port"):
         Runner(source, display, RunConfig(intensity=0.3)).run()
 

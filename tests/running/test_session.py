@@ -204,7 +204,7 @@ def test_the_displays_of_a_hand_begin_together(url):
             st.show_together(patterns, 0.2)
     assert {each.sequences for each in shown.values()} == {10}
     assert {each.ramped_s for each in shown.values()} == {0}
-    # The ramps of the displays also overlap: each rise begins before any other rise ends.
+    # The ramps of the displays overlap: each ramp begins before any other ramp ends.
     if url == "memory:":
         began_ns = [at.clock_ns for at in shown.values()]
         assert max(began_ns) - min(began_ns) < 15_000_000

@@ -11,7 +11,7 @@ from ..support.scans import board_without_finger
 
 
 class TwitchingClock:
-    """Clock with a delay after each wait: first those of a list, then always 90 ms."""
+    """Clock that is late after each wait: by the delays in a list, and then always by 90 ms."""
 
     def __init__(self, pauses_ns):
         self.time_ns, self.pauses_ns = 10**12, pauses_ns
@@ -40,7 +40,7 @@ def peaks_ua(sequences):
 
 
 def test_a_computer_that_is_slow_skips_no_electrode():
-    """Each step is 90 ms late, so 0.15 s of real time would end before an electrode pulses."""
+    """Each step is 90 ms late. If real time counted, 0.15 s would end before the first pulse."""
     sequences, reached = walked(TwitchingClock([]), seconds=0.15)
     assert len(reached) == 32
     pulses = Counter(int(site) for each in sequences if each.current_ua.any() for site in each.site)

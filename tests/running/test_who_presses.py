@@ -1,4 +1,4 @@
-"""Tests of force on a finger: stated or measured force allows current, a virtual one does not."""
+"""Tests that current flows on a finger only at a stated or measured force, not a virtual one."""
 
 import math
 from dataclasses import replace
@@ -104,7 +104,7 @@ def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, 
         "profile": lambda newtons: flows(source(), in_profile=f"fixed:{newtons}"),
         "board": lambda newtons: flows(source(), on_board_n=newtons),
     }
-    # To save time, all ways are tested only with the source "stimuli".
+    # To save time, test only one way with each source, and all ways with the source "stimuli".
     for way in ways if WHOLE or name == "stimuli" else ("run",):
         assert ways[way](0.9)
     for way in ways if WHOLE or name == "stimuli" else ("board",):
