@@ -171,7 +171,7 @@ class Counter(SensorFirmware):
 @pytest.mark.parametrize(("room", "acts", "taken"), [
     # The server sends a packet at each deadline, but none without a host.
     (99, ([5], *range(100, 151)), b"000;001;002;003;004;005;"),
-    # A short delay moves no deadline. Packets missed in a long delay are not sent later.
+    # After a short delay, deadlines stay the same. Packets missed in a long delay are never sent.
     (99, (0, 17, 20, 26, 30, *range(1000, 1010)), b"000;001;002;003;004;"),
     # Packets that the host does not read are dropped, not queued.
     (6, (*range(50), {"room": 99}, *range(50, 61)), b"000;001;005;006;"),
@@ -179,7 +179,8 @@ class Counter(SensorFirmware):
     (2, (0, [1], {"room": 99}, 20), b"00001;"),
 ])  # fmt: skip
 def test_what_a_sensor_sends(room, acts, taken):
-    """An act is a time with a host, ms, a list with a time without a host, or a new capacity."""
+    """Each act advances the time, ms, or sets the line's capacity. At a time in a list there is
+    no host."""
     line = FakeLine(room)
     server = Server(Counter(100.0), line)
     for act in acts:

@@ -13,7 +13,7 @@ SECOND = 1000 * MS
 
 
 class Rig:
-    """Emulated eTactileKit and its delivery log; by default the skin has no load in parallel."""
+    """Emulated eTactileKit and its delivery log. By default the skin has no parallel load."""
 
     def __init__(self, folder, outputs=4, **options):
         self.books = DeliveryLog(outputs, folder)
@@ -89,7 +89,7 @@ def test_at_boot_there_is_no_pulse_width_but_a_pulse_and_the_rate_is_100_hz(rig)
 
 
 @pytest.mark.parametrize(("commands", "sites", "apart_us", "own_ua"), [
-    # A slot lasts for width, discharge and switching, also if its electrode does not pulse.
+    # A slot is pulse width, discharge and switching time, even if its electrode has no pulse.
     ("FA6400 F732 FE 0A00 0000 0000 0A00", [0, 3], [3 * 160], [-100, -100]),
     ("FA6400 FD00" + ONE, [1], [], [2198]),
     ("FA6400 FD01" + ONE, [1], [], [-2198]),
@@ -151,7 +151,7 @@ def test_the_newest_stops_half_a_second_after_its_host(make_rig):
 def test_half_a_command_is_forgotten_after_2_s_with_all_that_waits(rig):
     rig.say(0, EXAMPLE)
     assert rig.say(100, "FE 0000 DC00 00") == b""
-    # Before 2 s have passed, the firmware treats each byte as part of the pattern.
+    # Until the command is 2 s old, the firmware treats each byte as part of its pattern.
     assert rig.say(2099, "F4") == b""
     assert rig.say(2101, "F4") == b"\x04"
     assert rig.books.slots == 0
@@ -236,7 +236,7 @@ def delivered(books):
 
 
 def test_electrodes_come_in_order_and_only_those_that_are_on(board, books):
-    """Pulses are anodic, against all other electrodes. A packet waits until the scan is over."""
+    """Anodic pulses return through all other electrodes. A packet waits for the end of the scan."""
     play(board, 0, frame(e60=10, e2=20, e5=0, e9=201, e10=255, e11=200) + frame(e0=50), 10)
     slots = delivered(books)
     assert (slots["site"][3], slots["time_us"][3], books.sequences) == (0, 3 * 208, 3)
@@ -288,7 +288,7 @@ def test_what_the_self_test_left_flows_for_a_moment_in_the_first_pulse(tmp_path,
     play(board, 0, first, 10, frame(e1=1, e2=1), 20, frame(e1=1), 30)
     slots = delivered(books)
     assert slots["site"].tolist() == [1, 1, 2, 1]
-    # The first pulse carries 898 counts for 3 µs, then its own value, also after packets of zeros.
+    # For 3 µs the first pulse has 898 counts, left by the self-test, even after packets of zeros.
     own = -slots["current_ua"][range(4), slots["site"]]
     assert own.tolist() == [2192, 39, 39, 39]
     charge = np.abs(slots["charge_uc"]).max(axis=1)

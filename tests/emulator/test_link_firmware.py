@@ -81,7 +81,7 @@ def test_its_limits_are_those_of_the_firmware():
     header = Path(__file__).parents[2] / "firmware" / "src" / "st_inside.h"
     named = re.findall(r"#define ST_(M(?:AX|IN)_\w+|STRENGTH|\w+_US) (\d+)", header.read_text())
     others = {name for name, value in named if getattr(link_rules, name, int(value)) != int(value)}
-    # The C core accepts more slots than the emulator: the charge of 8,000 slots fits in 32 bits.
+    # Only the largest number of slots differs: the C core accepts more slots than the emulator.
     assert others == {"MAX_SLOTS"}
 
 

@@ -1,5 +1,4 @@
-"""Tests of the skin circuit against a fine numerical solution, of the emulated finger, and of the
-delivery log."""
+"""Tests of the skin circuit (against a numerical solution), the finger and the delivery log."""
 
 import numpy as np
 import pytest
@@ -97,7 +96,7 @@ def test_a_weighted_pulse_is_what_was_asked_and_exact():
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("duration_us", [3, 12, 50, 300])
 def test_a_short_circuit_is_solved_and_keeps_the_charge(seed, duration_us):
-    """If impedances differ by a factor of ten, errors are below 5 % of the initial charge."""
+    """If impedances differ by a factor of ten, errors are below 5 % of the largest charge."""
     skin = unequal(6, seed)
     skin.pulse(np.array([900.0, -100, -200, -300, -400, 100]), 150)
     before_uc, admittance = skin.residual_uc, 1 / skin.series_ohm
@@ -141,7 +140,7 @@ def test_currents_sum_to_zero_and_never_pass_the_compliance(pulses, seed, compli
     most_v = compliance_v * (1 + 1e-9) + 1e-9
     for state, current, width_us, short_us in pulses:
         switched = one_source.switched_pulse(state, abs(current[0]), width_us)
-        # Compliance limits the voltage between poles (one source) or to the tissue (own sources).
+        # The limit holds between the poles (one source) or from electrode to tissue (own sources).
         assert switched.source_v <= most_v
         own = own_sources.pulse(current, width_us)
         assert np.abs(own.volts).max() <= most_v
@@ -162,7 +161,7 @@ def test_a_finger_lifts_and_touches_and_electrodes_break():
         finger.at(now_s, skin)
         assert finger.force_n == force_n
         assert (skin.series_ohm > 5e8).sum() == cut
-        # The voltage of an electrode stays if its impedance changes.
+        # The voltages of capacitors stay the same when impedances change.
         np.testing.assert_allclose(skin.residual_uc / skin.capacitance_f, volts)
     np.testing.assert_allclose(skin.series_ohm[:7], HEALTHY[:7])
     assert skin.series_ohm[8] + skin.parallel_ohm[8] < 10
