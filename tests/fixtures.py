@@ -27,27 +27,25 @@ from .support import full, processes
 
 _STATES = itertools.count()
 
-# What a script runs in the background is deaf to Ctrl-C, and so would be all that tests start.
+# In the background of a script, pytest ignores SIGINT, and so would programs that tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Compiling the tests and the package takes longer than many a test, and each program that tests
-# start would do it again where the environment forbids to keep what was compiled.
+# Store compiled modules, whatever the environment says. Otherwise each program that tests start
+# would compile the package again.
 sys.dont_write_bytecode = False
 
 
 def pytest_addoption(parser):
     parser.addoption(
-        "--full", action="store_true", help="run all of what is sampled otherwise, as CI does"
+        "--full", action="store_true", help="run long tests and all cases of each test, as CI does"
     )
-    parser.addoption(
-        "--runs", type=int, help="of tests that repeat something at random: how often, or how long"
-    )
+    parser.addoption("--runs", type=int, help="repetitions, or seconds, of tests with random input")
 
 
 def pytest_configure(config):
     full.configure(config)
-    # How long an example takes says how busy the machine is, and nothing of the code. In CI the
-    # examples are the same each time: what fails there is a change, and can be seen again.
+    # Set no deadline, because the time of a test depends on the machine's load. In CI, generated
+    # inputs are always the same, so that a failure can be reproduced.
     examples, always_alike = 100 if full.WHOLE else 25, "CI" in os.environ
     settings.register_profile(
         "smarttouch", deadline=None, max_examples=examples, derandomize=always_alike
@@ -57,7 +55,7 @@ def pytest_configure(config):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
-    """Let nothing look for garbage among tests and modules that are just being made."""
+    """Disable garbage collection while pytest collects tests, to save time."""
     gc.disable()
     try:
         return (yield)
@@ -66,36 +64,36 @@ def pytest_collection():
 
 
 def pytest_collection_modifyitems(items):
-    """Let the tests of time that passes come first; of the others, each stays in its place.
+    """Put tests with the mark ``realtime`` first; without ``--full``, skip long tests.
 
-    So one worker has them all, and no two run beside each other. They mostly wait: at the end
-    of a run its processors would wait with them.
+    Tests with the mark ``realtime`` mostly wait. One worker runs all of them while the other
+    workers run other tests.
     """
     items.sort(key=lambda item: "realtime" not in item.keywords)
     if not full.WHOLE:
         for item in items:
             if item.get_closest_marker("long"):
-                item.add_marker(pytest.mark.skip(reason="long: with --full, as in .ci/run"))
+                item.add_marker(pytest.mark.skip(reason="long: pass --full to pytest"))
 
 
 def pytest_collection_finish():
-    """Let the garbage collector pass over what the whole run needs: modules and tests."""
+    """Exempt modules and tests, which exist until the end, from garbage collection."""
     gc.collect()
     gc.freeze()
-    # Each run would count them.
+    # Each run of a loop asks whether objects are frozen. Counting all of them would be slow.
     gc.get_freeze_count = lambda: 1
 
 
 @pytest.fixture(autouse=True)
 def own_state(tmp_path_factory, monkeypatch):
-    """Let no board of one test count, or be stopped, in another; it is made when it is needed."""
+    """Give each test its own state folder, so that no test sees or stops boards of another test."""
     folder = tmp_path_factory.getbasetemp() / f"state{next(_STATES)}"
     monkeypatch.setenv("XDG_STATE_HOME", str(folder))
 
 
 @pytest.fixture(scope="session")
 def realtime_lock(tmp_path_factory, worker_id):
-    """A file that all workers of a run share."""
+    """Yield a lock file that all pytest workers share."""
     folder = tmp_path_factory.getbasetemp()
     shared = folder if worker_id == "master" else folder.parent
     with (shared / "realtime.lock").open("w") as file:
@@ -104,13 +102,13 @@ def realtime_lock(tmp_path_factory, worker_id):
 
 @pytest.fixture(autouse=True)
 def one_at_a_time(request):
-    """Let no two tests of time that passes run beside each other, however few are run."""
+    """Run only one test with the mark ``realtime`` at a time, in all pytest workers together."""
     if "realtime" not in request.keywords:
         yield
         return
     file = request.getfixturevalue("realtime_lock")
     fcntl.flock(file, fcntl.LOCK_EX)
-    # As a run has it: whoever holds the interpreter's lock at another holds up those that pace.
+    # A test thread of normal priority that holds the GIL would delay the threads of a run.
     with prioritized():
         yield
     fcntl.flock(file, fcntl.LOCK_UN)
@@ -118,14 +116,14 @@ def one_at_a_time(request):
 
 @pytest.fixture(scope="session", autouse=True)
 def one_thread():
-    """Tests run beside each other: threads of one would wait for those of another."""
+    """Limit libraries to one thread, because tests already run in several processes."""
     cv2.setNumThreads(1)
     with threadpool_limits(limits=1, user_api="blas"), pytest.MonkeyPatch.context() as patch:
-        # For the programs that tests start.
+        # Programs that tests start read these variables.
         patch.setenv("OPENBLAS_NUM_THREADS", "1")
         patch.setenv("OPENCV_FOR_THREADS_NUM", "1")
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
-        # Tests have caches of their own for kernels; the list of fonts is made once.
+        # All tests share the font list of matplotlib, because making this list is slow.
         fonts = Path.home() / ".cache" / "matplotlib"
         patch.setenv("MPLCONFIGDIR", os.environ.get("MPLCONFIGDIR", str(fonts)))
         yield
@@ -133,7 +131,7 @@ def one_thread():
 
 @pytest.fixture(scope="session", autouse=True)
 def forked_emulators(one_thread):
-    """Let each ``emulator:`` of this process start a fork."""
+    """Let boards ``emulator:`` in this process fork their emulator, which is fast."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("smarttouch.emulator.emulated_boards.subprocess", processes.forked_boards())
         yield
@@ -142,7 +140,7 @@ def forked_emulators(one_thread):
 
 @pytest.fixture(scope="session", autouse=True)
 def safety_watch():
-    """The oracle beside every gate of this process, and its judge of books."""
+    """Yield the watch, with which the oracle checks gates of this process and delivery logs."""
     watch = Watch()
     patch = watch.installed()
     yield watch
@@ -151,16 +149,16 @@ def safety_watch():
 
 @pytest.fixture
 def judges_books():
-    """True where the books that a test leaves in its folder are of what a gate has proved."""
+    """Return True: check the delivery logs in each test's folder. Some folders override this."""
     return True
 
 
 @pytest.fixture(autouse=True)
 def proved_twice(request, safety_watch, judges_books):
-    """Fail a test if a gate accepts, or an emulator delivers, what the oracle would not."""
+    """Fail a test if the oracle refuses an accepted sequence or the pulses in a delivery log."""
     safety_watch.on = "row" not in request.fixturenames
     yield
-    # Whoever has no folder leaves no books.
+    # A test without the fixture ``tmp_path`` writes no delivery log.
     if judges_books and "tmp_path" in request.node.funcargs:
         safety_watch.judge_books(request.node.funcargs["tmp_path"])
     assert safety_watch.take() == []
@@ -168,7 +166,7 @@ def proved_twice(request, safety_watch, judges_books):
 
 @pytest.fixture
 def runs(request):
-    """Return the number of ``--runs``, or None."""
+    """Return the value of option ``--runs``, or None."""
     return request.config.getoption("runs")
 
 
@@ -186,7 +184,7 @@ def bank(profile):
 
 @pytest.fixture(scope="session")
 def make_bank():
-    """Return a maker of RA banks from weights and receptors alone, (E, E) each."""
+    """Return a function that makes an RA bank of two (E, E) arrays, weights and receptor."""
     from smarttouch.base.afferent import Afferent
     from smarttouch.kernels.bank import KernelBank
 
@@ -200,13 +198,13 @@ def make_bank():
 
 @pytest.fixture(scope="session")
 def changed():
-    """Return a maker of profiles that differ from one in keys such as ``skin.medium``."""
+    """Return a function that copies a profile with new values of keys such as ``skin.medium``."""
     return displays.changed
 
 
 @pytest.fixture
 def usb_ports(monkeypatch):
-    """Return a setter of the USB description of a device, as pyserial lists it."""
+    """Return a function that adds a USB device to the ports that pyserial lists."""
     listed = []
 
     def tell(device, *, vid, pid, serial_number, location="1-1"):
@@ -221,7 +219,7 @@ def usb_ports(monkeypatch):
 
 @pytest.fixture
 def make_frame():
-    """Return a maker of frames: an image, a time and a force."""
+    """Return a function that makes a frame from an image, a time and a force."""
 
     def make(image, time_ns=0, force_n=1.0):
         return Frame(np.asarray(image, np.uint8), time_ns, Pose(0.0, 0.0), force_n)
@@ -231,7 +229,7 @@ def make_frame():
 
 @pytest.fixture(scope="session")
 def patch():
-    """Return a maker of 64 x 64 patches: white paper with one black bar of columns."""
+    """Return a function that makes an image of 64 x 64 pixels: a dark vertical bar on paper."""
 
     def make(first=24, last=40, paper=220, ink=30):
         image = np.full((64, 64), paper, np.uint8)
@@ -243,13 +241,13 @@ def patch():
 
 @pytest.fixture(scope="session")
 def other_account():
-    """Return a starter of Python programs as the user nobody; skip where there is none to be."""
+    """Return a function that runs Python as user nobody; skip the test if this is impossible."""
     try:
         account = importlib.import_module("pwd").getpwnam("nobody")
     except KeyError:
-        pytest.skip("there is no second account: no user nobody")
+        pytest.skip("needs a second account: the system has no user nobody")
     if os.geteuid() != 0 or account.pw_uid == 0:
-        pytest.skip("there is no second account: only root can be another user")
+        pytest.skip("needs a second account: run pytest as root to switch users")
 
     def starter(python):
         @contextmanager
@@ -267,9 +265,9 @@ def other_account():
 
         return start
 
-    # Ours may lie in a home that nobody else can enter; what they run needs no packages.
+    # User nobody may have no access to our Python. Any other will do: no packages are needed.
     for start in map(starter, (sys.executable, "/usr/bin/python3")):
         with suppress(OSError), start("-c", "import json") as process:
             if process.wait(60) == 0:
                 return start
-    pytest.skip("there is no second account: nobody cannot run Python")
+    pytest.skip("needs a second account: user nobody has no access to Python")

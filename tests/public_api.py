@@ -1,7 +1,7 @@
 """Comparison of the public names with those of the last release, in ``public_api.json``.
 
-``python -m tests.public_api`` writes the file for the next release. From 1.0 on it refuses while a
-name is missing that was not deprecated first ("Stability" in ``docs/reference/python.md``).
+``python -m tests.public_api`` writes the file for the next release. After release 1.0, it fails if
+a name was removed without a deprecation ("Stability" in ``docs/reference/python.md``).
 """
 
 import inspect
@@ -36,7 +36,7 @@ def described(name, value):
 
 
 def members_of(owner):
-    """Yield name and value of each class member from the package; None if it is only annotated."""
+    """Yield name and value of each member that the package defines; None for mere annotations."""
     bases = [each for each in owner.__mro__ if each.__module__.startswith("smarttouch")]
     for base in reversed(bases):
         yield from dict.fromkeys(inspect.get_annotations(base)).items()

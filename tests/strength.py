@@ -93,7 +93,7 @@ def faults_of(path):
         yield from of_node(node)
         for name, value in ast.iter_fields(node):
             if name in ("annotation", "returns", "decorator_list") or isinstance(node, ast.Raise):
-                continue  # not types, decorators or error messages
+                continue  # skip types, decorators and error messages
             for inner in value if isinstance(value, list) else [value]:
                 if isinstance(inner, ast.AST):
                     yield from visit(inner)
@@ -102,7 +102,7 @@ def faults_of(path):
 
 
 def choose(faults, critical, seed, without):
-    """Draw faults at random, weighted by file length, at least ``critical`` in CRITICAL folders."""
+    """Draw faults at random, weighted by file length; first ``critical`` from CRITICAL folders."""
     files = [
         path
         for path in sorted(Path("smarttouch").rglob("*.py"))
@@ -179,7 +179,7 @@ def tests_of_lines():
     def find(path, line):
         byte, bit = divmod(line, 8)
         runs = {test for test, bits in table[path] if byte < len(bits) and bits[byte] >> bit & 1}
-        runs = runs or {test for test, _ in table[path]}  # runs at import: take all tests
+        runs = runs or {test for test, _ in table[path]}  # a line that runs only at import
         by_file = collections.defaultdict(list)
         for test in sorted(runs, key=lambda test: (seconds[test], test)):
             by_file[test.partition("::")[0]].append(test)
@@ -211,7 +211,7 @@ def failing(folder, tests):
 
 
 def judge(folder, fault, text, tests):
-    """Return a record of a fault, with the test that fails twice with it and passes without it."""
+    """Insert a fault and run tests. Return a record with the test that finds the fault, if any."""
     path, line, kind = fault
     file = folder / path
     before, left, found = file.read_text("utf-8"), list(tests), ""
@@ -302,7 +302,7 @@ def main():
         command.add_argument("folders", nargs="*", help="only these folders, such as boards")
         command.add_argument("--faults", type=int, default=300)
         command.add_argument(
-            "--critical", type=int, default=60, help="minimum in stimulation and boards"
+            "--critical", type=int, default=60, help="minimum number in stimulation and boards"
         )
         command.add_argument("--seed", type=int, default=4)
         command.add_argument("--without", default="^$", help="regex of paths to leave out")
