@@ -46,8 +46,8 @@ class Adaptation:
         self._switched = profile.output.kind != "weighted"
         self._near_v = NEAR * compliance_v
         longest = profile.pulse.width_us / profile.limits.pulse_us
-        # Lower bound of `_highest_ua`. With a lower value, `apply` would not weaken pulses of full
-        # intensity further, and `_highest_ua` would take longer to rise.
+        # Lower bound of `_highest_ua`. With a lower value, `apply` would give the same pulses at
+        # full intensity, and `_highest_ua` would take longer to rise.
         self._least_ua = longest * np.asarray(profile.threshold_ma, np.float64) * 1000
         self._highest_ua = np.full(sites, np.inf)
         self._first_kohm = np.full(sites, np.nan)
@@ -56,8 +56,7 @@ class Adaptation:
 
     @property
     def limited(self) -> tuple[int, ...]:
-        """Sites where charge or energy is not constant, as pulses cannot become longer or
-        stronger."""
+        """Sites where charge or energy varies, as pulses cannot become longer or stronger."""
         return tuple(np.flatnonzero(self._limited).tolist())
 
     def observe(self, sequence: ScanSequence, volts: NDArray[np.float32]) -> None:

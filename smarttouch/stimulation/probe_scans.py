@@ -45,11 +45,11 @@ def probe_sequences(
     driven = np.tile(sites, len(turns))
     returns = [back for turn in turns for back in np.roll(sites, -turn)[:, None]]
     if not in_pairs:
-        # The first return electrodes carry the rounding remainder. Begin after the driven
-        # electrode, so that each slot begins with another electrode.
+        # The first return electrodes of a slot carry the rounding remainder. Let them follow the
+        # driven electrode, so that each slot has other first return electrodes.
         returns = [np.roll(sites, -at)[1:] for at in range(len(sites))]
     slot_us = max(PROBE_US + _DISCHARGE_US, int(np.ceil(PROBE_US / limits.duty))) + _SWITCHING_US
-    # The ramp rises only while current flows, so each scan must be long enough for one step.
+    # The ramp rises only while current flows, so a scan must last until the next step is allowed.
     step_us = max(_SLOWEST_US, int(np.ceil(1.05e6 * limits.ramp_s * top / _STEPS)))
     period_us = max(step_us, int(np.ceil(1e6 / limits.rate_hz)), len(driven) * slot_us)
     sign = 1 if output is None or "cathodic" in output.polarities else -1

@@ -23,7 +23,7 @@ LEVEL_KEPT_NS = 15_000_000_000
 """Longest pause without current, ns, in which the ramp keeps its level. After a longer pause the
 level is zero. The time is sufficient for an answer in an experiment."""
 PLANNED_KEPT_NS = LEVEL_KEPT_NS - 1_000_000_000
-"""Longest pause without current, ns, after which plans use the ramp's level. It is shorter than
+"""Longest pause without current, ns, after which plans need not restart at zero. It is shorter than
 `LEVEL_KEPT_NS`, because a sequence is written some time after it is planned."""
 FIRST_NS = 20_000_000
 """First planned strength above zero: the rise of the ramp in this time, ns. If all currents round
@@ -46,8 +46,8 @@ _ARRAYS = (
 array has one row for each slot, and False if the array may be None."""
 
 WAITS_NS = 5_000_000_000
-"""Largest wait of a proved sequence, ns, beyond the time of its passes and four periods. After a
-lost command, a board needs more than 2 s to resynchronize."""
+"""Constant part of the largest delay, ns, that `SafetyGate.repeated` allows. A board needs more
+than 2 s to resynchronize after a lost command."""
 
 
 class Ramp:
@@ -226,7 +226,7 @@ class SafetyGate:
             return 0 if self._clock is None else self._exposure.net_rest_ns(self._clock.now_ns())
 
     def begin_session(self) -> None:
-        """Start a session: ramp and dose begin at zero. Limits per second count earlier pulses."""
+        """Start a session with ramp and dose at zero. Limits per second still count old pulses."""
         now_ns = None if self._clock is None else self._clock.now_ns()
         self._exposure.begin_session(now_ns)
         self.session += 1
@@ -292,8 +292,8 @@ class SafetyGate:
 
     def repeated(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
         """Return a proved sequence with the later start ``due_ns``. Use this if the host times the
-        repetitions, or if the board was not ready. Raises SafetyError if the delay is too large
-        (see `WAITS_NS`)."""
+        repetitions, or if the board was not ready. The largest allowed delay is the time of
+        all passes, four more periods and `WAITS_NS`. Raises SafetyError if the delay is larger."""
         period_ns = 1000 * proved.sequence.period_us
         latest_ns = proved.due_ns + (proved.times + 4) * period_ns + WAITS_NS
         if due_ns > latest_ns:

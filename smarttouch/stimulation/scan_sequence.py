@@ -56,8 +56,8 @@ class KernelTable:
     # (K, E) positive cathodic, peak `PEAK`, sum zero; rows of masked sites are zero
     weights: NDArray[np.int16]
     site: NDArray[np.uint16]  # (K,) site of each kernel
-    points: dict[Afferent, int]  # first row of the kernels for single points, by class
-    shared: dict[Afferent, int]  # first row of the kernels for shared slots, by class
+    points: dict[Afferent, int]  # index of each class's first kernel for single points
+    shared: dict[Afferent, int]  # index of each class's first kernel for shared slots
 
     def __post_init__(self) -> None:
         # Arrays backed by bytes are read-only.
@@ -359,7 +359,7 @@ class ScanTiming:
         period = math.ceil(least_us)
         if not self.whole_hz or period <= 1:
             return period
-        # the largest integer rate that has at least this period
+        # the largest integer rate whose period, rounded up, is at least `period`
         rate_hz = 999_999 // (period - 1)
         if not rate_hz:
             raise ScheduleError(

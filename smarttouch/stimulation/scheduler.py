@@ -43,7 +43,7 @@ from smarttouch.stimulation.slots import FrameSlots, PointSlots, Slots, constant
 WINDOW_US = 1_100_000
 """Time over which plans limit the net charge, µs. The limit is for 1 s, but boards that count in
 tenths of a second can include up to 1.1 s."""
-GUARD_PC = 0.95 * NET_PC  # largest planned net charge of the latest passes, for any number of them
+GUARD_PC = 0.95 * NET_PC  # largest planned net charge of the latest n passes, for any n
 _MEAN_PC = PLANNED * NET_PC
 _FREE_PC = NET_PC / 2
 _MOST_PC = 0.99 * NET_PC
@@ -183,7 +183,7 @@ class NetPlan:
         self._passes: deque[_Pass] = deque()
         self._sum_pc = np.zeros(electrodes)
         # Upper bounds of net charge: `_at_most_pc` for all passes in the last `WINDOW_US`, and
-        # `_newest_at_most_pc` for any number of latest passes.
+        # `_newest_at_most_pc` for the latest n passes, for any n.
         self._at_most_pc = self._newest_at_most_pc = 0.0
 
     def next_period_us(
@@ -233,7 +233,7 @@ class NetPlan:
         return needed_us
 
     def _newest(self, net_pc: Array) -> Array:
-        """Return magnitudes of net charge, (N + 1, E). Row n adds up this and the last n passes."""
+        """Return magnitudes of net charge, (N + 1, E). Row n: ``net_pc`` plus the last n passes."""
         passes = (earlier.net_pc for earlier in reversed(self._passes))
         return np.asarray(np.abs(np.cumsum([net_pc, *passes], axis=0)))
 
@@ -246,7 +246,7 @@ class SchedulerContext:
     makers: dict[Afferent, PointSlots | FrameSlots] = field(default_factory=dict)
     """Slot makers, by class."""
     table: KernelTable | None = None  # quantized kernels, if slots are sums of them
-    net: NetPlan | None = None  # limits net charge; None with recharge phases
+    net: NetPlan | None = None  # limits net charge; None if scans have recharge phases
 
 
 class ScanScheduler:

@@ -1,4 +1,4 @@
-"""Integer checks of the limits of a scan sequence, of any second, and of a session."""
+"""Integer checks of limits: for each scan sequence, for any second, and for the session."""
 
 from bisect import bisect_right
 from collections import deque
@@ -22,9 +22,9 @@ from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, decimal, ref
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 STRENGTH = 4
-"""Largest ratio of strength to relative charge. The relative charge of a sequence is its largest
-charge of a pulse, divided by the charge of a full pulse. With the shipped kernels, the faintest
-gray needs a ratio below 3. The ratio of 4 leaves a margin for sensitive sites."""
+"""Largest ratio of strength to relative charge. The relative charge of a sequence is the largest
+charge of its pulses, divided by the charge of a full pulse. With the shipped kernels, the
+faintest gray needs a ratio below 3. The ratio of 4 leaves a margin for sensitive sites."""
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62
 MOST_RECHARGE_US = 20_000  # longest recharge phase: one period at 50 Hz (our choice)
@@ -52,7 +52,7 @@ def add_up(
     current_ua: NDArray[np.int16], width_us: NDArray[np.uint16], felt_ua: NDArray[np.float32]
 ) -> tuple[Sums, NDArray[np.float64], NDArray[np.float64]]:
     """Return the `Sums` of all slots, the currents as float64, (S, E), and their magnitudes.
-    There must be a slot. Pulses of ``felt_ua``, (E,), or more count as perceptible."""
+    At least one slot is required. Pulses of ``felt_ua``, (E,), or more count as perceptible."""
     currents, widths = current_ua.astype(np.float64), width_us.astype(np.float64)
     magnitudes = np.abs(currents)
     felt = PER_PULSE * np.add.reduce(magnitudes >= felt_ua, axis=0)
@@ -106,7 +106,7 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
         charge_pc = magnitude_ua * width_us.astype(np.float64)[:, None]
         _prove_each("charge_uc", charge_pc, limits.charge_pc, 1_000_000)
         peak_pc = int(charge_pc.max())
-    # If all others lack contact, one electrode carries the complete charge of the source.
+    # If all other electrodes lack contact, one electrode carries all charge of the source.
     if limits.one_source and (total_ua * width_us).max() > 2 * limits.source_pc:
         slot = int((total_ua * width_us).argmax())
         source_uc = total_ua[slot] * float(width_us[slot]) / 2e6
@@ -232,7 +232,7 @@ class _Pass(NamedTuple):
     start_ns: int
     end_ns: int
     sums: Sums
-    most: float  # largest of `sums[:2]`, an upper bound of each net charge × `PER_PC`
+    most: float  # largest of `sums[:2]`; no net charge × `PER_PC` is larger
 
 
 class _Sent(NamedTuple):
@@ -244,9 +244,9 @@ class _Sent(NamedTuple):
     flows: bool
 
     def cut_short(self, now_ns: int) -> tuple[int, list[_Pass], int]:
-        """Return the start of a new sequence that is sent at ``now_ns``, the recent repetitions of
-        this sequence, and the number of its repetitions that the board drops."""
-        # The board delivers the first pass even if it has not begun at `now_ns`.
+        """Return the time at which a new sequence begins if it is sent at ``now_ns``. Also return
+        the recent passes of this sequence without the first, and the number of dropped passes."""
+        # The board delivers the first pass even if this pass has not begun at `now_ns`.
         first, period_ns = self.first, self.period_ns
         begun = max(1, min(self.times, (now_ns - first.start_ns) // period_ns + 1))
         delays_ns = [
@@ -263,7 +263,8 @@ class _Sent(NamedTuple):
 class Exposure:
     """Dose limits: running sums over the last second and over the session, by the display's clock.
 
-    The times of passes are computed: a board finishes each pass before it begins the next one.
+    The time of each pass is computed, not measured. This is possible because a board finishes each
+    pass before it begins the next one.
     """
 
     def __init__(self, limits: SafetyLimits) -> None:
@@ -306,8 +307,8 @@ class Exposure:
         self._last = None
         self._window.clear()
         # Upper bounds: `_second_at_most` for the sums of the last second, and `_net_at_most` for
-        # the net charge (× `PER_PC`) of any number of latest passes. Exact sums are computed only
-        # if a bound exceeds its limit.
+        # the net charge (× `PER_PC`) of the latest n passes, for any n. Exact sums are computed
+        # only if a bound exceeds its limit.
         self._second_at_most = self._net_at_most = 0.0
 
     def net_rest_ns(self, now_ns: int) -> int:
@@ -341,7 +342,7 @@ class Exposure:
             start_ns = max(now_ns, last.first.start_ns + last.period_ns)
             if last.times > 1:
                 start_ns, repeated, left = last.cut_short(now_ns)
-                # Subtract the passes that were counted before, but will not be delivered.
+                # Subtract the passes of the previous sequence that will not be delivered.
                 session_ns -= left * last.period_ns * last.flows
                 session -= left * last.first.sums
         if load.recharge_pc is not None:
@@ -349,7 +350,7 @@ class Exposure:
             carried_pc = session[2] - times * sums[2] + slots_pc
             _check_recharge(carried_pc, load.recharge_pc, sums[2], times)
         first = _Pass(start_ns, start_ns + 1000 * load.busy_us, sums, largest)
-        # Check the passes that begin while the first pass is in the window of one second.
+        # Check the passes that begin less than one second after the end of the first pass.
         checked = min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
         net_at_most = min(self._net_at_most, self._second_at_most)
         most = checked * largest + (len(repeated) * repeated[0].most if repeated else 0)
@@ -380,9 +381,9 @@ class Exposure:
     ) -> float:
         """Raise SafetyError if any second would exceed a limit.
 
-        Count older passes, the ``repeated`` passes of the previous sequence, and ``checked`` passes
-        of the new sequence, one period apart. Return an upper bound of the net charge (× `PER_PC`)
-        of the latest passes before the new sequence, however many are added up.
+        Count the passes in `_window`, the ``repeated`` passes of the previous sequence, and
+        ``checked`` passes of the new sequence, one period apart. Return an upper bound of the net
+        charge (× `PER_PC`) of the latest n passes before the new sequence, for any n.
         """
         recent = [scan for scan in (*self._window, *repeated) if scan.end_ns > now_ns - WINDOW_NS]
         passes = sum(scan.start_ns > now_ns - WINDOW_NS for scan in recent) + 1

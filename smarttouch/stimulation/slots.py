@@ -121,9 +121,9 @@ class FrameSlots:
         """Return slots and their selectivity, for the activation of a class, (E,), at an intensity.
 
         For the faintest activation, a kernel carries its threshold current times intensity; for
-        full activation, its comfort level times intensity. In a shared slot, a point is activated
-        as by its own kernel alone, with a relative deviation up to ``frames.uneven``. Currents are
-        integer µA that sum to zero in each slot. Masked electrodes have no slot.
+        full activation, its comfort level times intensity. In a shared slot, the activation of a
+        point differs by at most the share ``frames.uneven`` from that in a separate slot. Currents
+        are integer µA that sum to zero in each slot. Masked electrodes have no slot.
         """
         asked = activation if intensity > 0 else 0 * activation
         if self._perceived_at is not None:
@@ -158,8 +158,8 @@ class FrameSlots:
         do = np.empty((2, count), np.float32)
         owner = self._owner.take(kernel.take(first[:shared]))
         do[:, :shared] = self._figures(intensity).take(owner, axis=1)
-        # Reported values are relative to a target at level 1. A single point stimulates all nerves
-        # in proportion to its level.
+        # Reported values are relative to a target at level 1, so the values of a single point are
+        # multiplied by its level.
         np.multiply(self._points_do.take(alone, axis=1), alone_level, out=do[:, shared:])
         site = self._kernel_sites.take(kernel.take(first[:-1])).astype(np.uint16)
         proof = SelectivityReport(np.array(points, np.uint16), *do)
