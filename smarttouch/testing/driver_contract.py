@@ -310,8 +310,7 @@ class DriverContract:
         assert_same_pulses(pulses, wanted, self.step_ua, self.step_us)
 
     def _wait_for(self, kinds: int) -> None:
-        """Wait until the device, which repeats its scan, has received ``kinds`` different
-        pulses."""
+        """Wait up to 5 s until the device has received at least ``kinds`` different pulses."""
         end_s = time.monotonic() + 5
         while len({*self.pulses()} - {ZERO}) < kinds and time.monotonic() < end_s:
             time.sleep(0.02)

@@ -142,7 +142,8 @@ class SourceContract(_Opened):
         self.make(profile).close()
 
     def test_reading_waits_for_nothing(self, source: Source) -> None:
-        # The first read may wait for a device. A busy computer may delay others: use the fastest.
+        # Do not time the first read, because it may wait for a device. A busy computer can delay
+        # some of the other reads, so check the fastest one.
         newest, time_ns, took_s = source.read(0), 0, list[float]()
         while newest is not None and len(took_s) < READS:
             time_ns += self.lasts_ns(newest)
