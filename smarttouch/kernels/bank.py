@@ -262,8 +262,8 @@ def design_bank(
 def design_confined(
     profile: Profile, sites: Sequence[int], progress: Progress | None, keep: Path | None = None
 ) -> KernelBank:
-    """Design kernels for some sites. Each drives only the `Kernels.neighbors` electrodes nearest to
-    its site. The bank has zeros for the kernels of other sites and for the AF of far electrodes."""
+    """Design kernels for some sites. A kernel drives only the electrodes nearest to its site; their
+    number is `Kernels.neighbors`. All other weights and AFs in the bank are zero."""
     from smarttouch.kernels.batch_design import design_tiles
     from smarttouch.kernels.switched_design import designer, possible_modes
 

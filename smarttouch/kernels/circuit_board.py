@@ -40,7 +40,7 @@ def write_kicad(profile: Profile, folder: Path) -> Path:
     electrodes, (right, down) = _electrodes(profile)
     wiring = list(profile.output.wiring or range(len(electrodes)))
     output, site_of = np.arange(max(wiring) + 1), {put: site for site, put in enumerate(wiring)}
-    block = -(-len(output) // -(-len(output) // MOST_CONTACTS))  # contacts of each connector
+    block = -(-len(output) // -(-len(output) // MOST_CONTACTS))  # contacts per connector
     x_mm = output * CONTACT_PITCH_MM + output // block * GAP_MM
     right, y_mm = max(right, x_mm[-1] / 2 + 2 * EDGE_MM), down + TAIL_MM
     contacts: list[_Pad] = [

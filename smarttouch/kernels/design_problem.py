@@ -134,7 +134,7 @@ _FIRST_MM = 0.5  # spacing of the nodes that a design checks first
 
 
 def _sublattice(grids: list[tuple[tuple[int, int], int]], apart: int) -> NDArray[np.intp]:
-    """Return the indices, (K,), of every n-th row and column of each lattice; n is ``apart``."""
+    """Return the indices, (K,), of nodes in every ``apart``-th row and column of each lattice."""
     starts, start = [], 0
     for (high, wide), count in grids:
         index = np.arange(start, start + count * high * wide).reshape(count, high, wide)
@@ -265,9 +265,9 @@ class Problem:
         return min(moves, key=lambda pair: pair[0])
 
     def orbits(self, site: int) -> Array:
-        """Return the orbits, (E, O). The symmetries that keep the site in place map the electrodes
-        of an orbit to each other. A column is 1 at the electrodes of its orbit, else 0. Masked
-        electrodes have no orbit."""
+        """Return the orbits, (E, O): a column is 1 at the electrodes of its orbit, else 0. The
+        electrodes of an orbit are mapped to each other by the symmetries that keep the site in
+        place. Masked electrodes have no orbit."""
         mirrors = np.array([move for move in self.symmetries if move[site] == site])
         _, orbit = np.unique(mirrors.min(axis=0)[self.driven], return_inverse=True)
         patterns = np.zeros((self.electrodes, orbit.max() + 1))

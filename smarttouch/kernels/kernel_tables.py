@@ -157,7 +157,7 @@ def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list
     for y in sorted({round(float(y_mm), 6) for y_mm in position[:, 1]}):
         line = [index for index in range(len(position)) if abs(position[index, 1] - y) < 1e-5]
         lines.append(sorted(line, key=lambda index: position[index, 0]))
-    certain = f"within {kernel.gap:.1%} of the best possible" if kernel.gap else "proven optimal"
+    certain = f"at most {kernel.gap:.1%} from the optimum" if kernel.gap else "proven optimal"
     table = WordTable(
         f"{of.afferent.name} kernel ({kernel.kind}) at site {of.site} of {profile.name}, "
         "positive cathodic",

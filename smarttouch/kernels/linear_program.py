@@ -165,9 +165,9 @@ class LinearProgram:
         return int((np.abs(prices) > _PRICE).sum()) >= self._columns
 
     def limit(self, reference: Array, factors: Array, total: float | None) -> None:
-        """Limit the magnitudes of currents to ``factors``, (O,), and their sum over all electrodes
-        to ``total``. Limits are multiples of the current reference·w; ``reference``, (O,), usually
-        selects one electrode. An infinite factor, or a total of None, sets no limit."""
+        """Limit currents relative to the current reference·w; ``reference``, (O,), usually selects
+        one electrode. ``factors``, (O,), limit the magnitude of each current; infinity is no limit.
+        ``total`` limits the sum of magnitudes over all electrodes; None is no limit."""
         bounded = np.flatnonzero(np.isfinite(factors))
         eye = np.eye(self._count)[bounded]
         push = factors[bounded, None] * reference

@@ -288,8 +288,8 @@ class Certainty:
     # (2, N) largest activation divided by intensity: of other classes, and of the same class
     reached: Array
     rounding: Array  # (2, N) largest increase of the activation by rounding; rows as in `reached`
-    target: Array  # (N,) smallest activation of a target, divided by its level and by intensity
-    lost: Array  # (N,) largest decrease of a target's activation by rounding, divided by its level
+    target: Array  # (N,) smallest activation of a target per unit of its level and of intensity
+    lost: Array  # (N,) largest loss of a target's activation by rounding, per unit of its level
     total_ua: float  # largest increase of a slot's total current by rounding
 
     @classmethod

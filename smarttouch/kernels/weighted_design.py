@@ -54,7 +54,7 @@ def design_kernel(
     if spill is None:
         ways = [False]
     else:
-        # PC rarely keeps the spill bound: first minimize the larger of off-target and spill.
+        # PC kernels rarely keep the spill bound: first minimize the larger of off-target and spill.
         ways = [True, False] if problem.afferent is Afferent.PC else [False, True]
     program = rows.program(ways[0], options)
     best = program.most_selective()
@@ -182,7 +182,7 @@ class _ProgramBuilder:
         return True
 
     def break_limits(self, program: LinearProgram) -> bool:
-        """Return False if a program's optimum is proven unique and keeps the limits, else True."""
+        """Return whether a program needs limits: its optimum breaks them, or may not be unique."""
         pattern, (reference, factors, total) = program.pattern, self._limits()
         current, magnitude = float(reference @ pattern), np.abs(pattern)
         in_all = float(self.orbits.sum(axis=0) @ magnitude)
@@ -207,8 +207,8 @@ class _ProgramBuilder:
 
 
 def _peaks(problem: Problem) -> Chooser:
-    """Return a function that selects violated rows where the excess has a local maximum. Rows of
-    neighboring nodes are nearly equal, so one row per maximum is enough."""
+    """Return a function that selects violated rows at local maxima of the excess. This suffices, as
+    rows of neighboring nodes are nearly equal."""
 
     def choose(excess: Array) -> np.ndarray:
         chosen, start = [], 0
