@@ -52,8 +52,8 @@ class Field(NamedTuple):
 def around_axis(
     x: Array, y: Array, potential: Array, zz: Array, around: Array, slanted: Array
 ) -> Field:
-    """Return the field of a cathode that is symmetric about the z axis. After x and y, pass Φ,
-    ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r of an equal anode. They must be finite on the axis."""
+    """Return the field of a cathode that is symmetric about the z axis. Pass x, y and the values of
+    an equal anode: Φ, ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r, all finite on the axis."""
     r2 = x * x + y * y
     # ∂²Φ/∂r² follows from Laplace's equation; on the axis it equals (∂Φ/∂r)/r.
     stretch = np.divide(-zz - 2 * around, r2, out=np.zeros_like(r2), where=r2 > 1e-12)

@@ -32,7 +32,7 @@ class Population:
     receptor_mm: Array  # (A, 2) mean place of each afferent's endings
     axon_path_mm: Array  # (B, P, 3) corners of each branch, ending first; z is depth
     owner: NDArray[np.intp]  # (B,) afferent of each branch
-    factor: Array  # (A,) threshold relative to the fiber model's
+    factor: Array  # (A,) threshold of each afferent, relative to that of the fiber model
     anatomy: ClassAnatomy
 
 
@@ -164,7 +164,7 @@ class Finger:
 
     @cached_property
     def rows(self) -> tuple[Floats, NDArray[np.intp]]:
-        """Drives, (N, E), of all nodes that currents within the limits can fire; ``starts``, (A,).
+        """Drives, (N, E), of all nodes that allowed currents can fire, and ``starts``, (A,).
 
         A drive, float32 1/mA, is the effect of 1 mA of cathodic current with the profile's pulse. A
         node fires if the sum of drive times current, mA, is at least 1. The rows of afferent i
@@ -257,8 +257,8 @@ class Finger:
     def _drives_of_branches(
         self, population: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
     ) -> tuple[Floats, NDArray[np.intp]]:
-        """Return the drives of nodes that can fire, and the branch of each node. Nodes of the
-        branches ``part`` are searched from the ending to the corner with the index ``corners``."""
+        """Return the drives of nodes that can fire, and the branch of each node. Search branches
+        ``part``, each from its ending to the corner with the index ``corners``."""
         spacing = driving.internode_mm
         length_mm = axon_path_length_mm(population.axon_path_mm[part], corners)
         nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1

@@ -60,7 +60,7 @@ class Fiber:
     # Membrane area of a passive terminal, which has 1 µF/cm² and 1 mS/cm². Our estimate: 0.5 mm of
     # neurite 2 µm thick, coiled in a corpuscle about 100 µm long and 60 µm wide. The area decides
     # which polarity fires an upright fiber with less current. For pulses of 200 µs at a depth of
-    # 0.7 mm this is anodic current, but cathodic current if the area is less than about 1250 µm².
+    # 0.7 mm, this polarity is anodic, or cathodic if the area is less than about 1250 µm².
     terminal_um2: float = 3000.0
 
     def __post_init__(self) -> None:
@@ -209,7 +209,7 @@ def threshold_ma(
 
 
 def _fires(axon: Axon, driven_mv: Array, steps: int) -> NDArray[np.bool_]:
-    """Return which of the drives, (A, P), fire the fiber if they last for ``steps`` steps."""
+    """Return which of the drives, (A, P), fire the fiber. ``steps`` is the duration of a drive."""
     v, gates = axon.rest(len(driven_mv))
     alive = np.arange(len(driven_mv))
     fires, step = np.zeros(alive.size, np.bool_), 0
@@ -261,7 +261,7 @@ class DrivingFunction:
     along: Array  # (K + 1,) 1/mV: weights of a node and of K neighbors on each side
     near_end: Array  # (H, L) 1/mV: replaces `along` in the first H drives; empty for "through"
     # A node blocks a passing spike if its hyperpolarizing drive is at least `block` times the drive
-    # of the node that fired. Long anodic pulses can block. Infinite if no node can block.
+    # of the node that fired. Long anodic pulses can block. `block` is infinite if no node can.
     block: float = np.inf
 
     def drive(self, potential_mv: Array) -> Array:
@@ -317,7 +317,7 @@ def _shipped() -> dict[str, Any]:
 
 def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
     """Return the driving function of one of `FIBERS`, interpolated over the logarithm of the pulse
-    width. Raises DesignError if it was not fitted."""
+    width. Raises DesignError if the fiber, the ending or the width was not fitted."""
     offered = _shipped()
     fitted: dict[str, Any] = offered.get(fiber, {}).get(end, {})
     if not fitted:

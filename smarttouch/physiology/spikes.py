@@ -112,7 +112,7 @@ class SpikeModel:
         time_us = self._now_us + np.cumsum(lasts) - lasts
         if above is None:
             above = self.drive(slots.current_ua, slots.width_us)
-        # Skip afferents far below threshold: noise this strong occurs once in 10⁹ pulses.
+        # Skip afferents far below threshold: noise fires such an afferent once in 10⁹ pulses.
         near = np.flatnonzero((above >= 1 - _FARTHEST * self._noise[:, None]).any(axis=1))
         spread = self._noise[near, None] * self._random.standard_normal(
             (len(near), above.shape[1]), np.float32
