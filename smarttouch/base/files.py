@@ -35,7 +35,7 @@ electrodes needs a tenth of it."""
 MOST_ARRAY_BYTES = 256_000_000  # size limit of files with NumPy arrays
 MOST_BANK_BYTES = 700_000_000
 """Size limit of kernel banks and of recordings of serial lines. A bank of 4,096 electrodes has
-605 MB before compression; nearly all are zeros."""
+605 MB before compression; nearly all values are zeros."""
 MOST_DOCUMENT_BYTES = 2_000_000_000  # size limit of images, PDFs and videos
 
 
@@ -136,7 +136,7 @@ def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
 
 
 def owner_only(path: str, flags: int) -> int:
-    """Opener for `open`: open a file, and let only its owner read it if it is new."""
+    """Opener for `open`. If it creates a file, only the file's owner can access this file."""
     return os.open(path, flags | O_NOCTTY | O_BINARY, 0o600)
 
 
@@ -193,7 +193,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
             file = os.fdopen(owner_only(os.fspath(path), flags), "r+b")
             status = os.fstat(file.fileno())
             if user_number() is not None and status.st_mode & 0o077:
-                # If the file belongs to the user, ignore errors: not all file systems can do this.
+                # Ignore errors if the user owns the file, as some file systems have no modes.
                 with contextlib.suppress(*[OSError] * (status.st_uid == user_number())):
                     os.fchmod(file.fileno(), 0o600)
         except OSError as failure:
@@ -255,7 +255,7 @@ def read_csv(
 ) -> "dict[str, NDArray[np.float64]]":
     """Read the ``needed`` columns of a CSV file and its ``optional`` ones, if any, as numbers.
 
-    With ``rising``, the first column must increase. Raises ``error``.
+    If ``rising``, the first column must increase. Raises ``error``.
     """
     import numpy as np  # imported here so that --help and short commands start fast
 

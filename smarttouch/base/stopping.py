@@ -34,7 +34,7 @@ class StopRequest:
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def ask(self, reason: str, *, at_once: bool = True) -> None:
-        """Request the end of the run. With ``at_once``, boards are at zero when this returns."""
+        """Request the end of the run. If ``at_once``, boards are at zero when this returns."""
         with self._lock:
             # Keep the first reason, also after a second Ctrl-C.
             self.reason = self.reason or reason
@@ -49,8 +49,8 @@ class StopRequest:
                 stack.callback(call)
 
     def always_on_stop(self, tell: Callable[[], None]) -> None:
-        """Call a function when the end is requested. Functions added later are called first:
-        runs are added after their board, and must end before it refuses sequences."""
+        """Call a function when the end is requested. Functions that are added later are called
+        first: a run is added after its board, and must end before the board refuses sequences."""
         with self._lock:
             self._on_stop.insert(0, tell)
 

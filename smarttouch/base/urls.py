@@ -94,11 +94,11 @@ def read_options(
     opener: Callable[..., Any], rest: str, error: type[SmartTouchError],
     but: Collection[str] = (), **more: type,
 ) -> tuple[str, dict[str, Any]]:  # fmt: skip
-    """Split the part of a URL after its name into an address and options.
+    """Split ``rest``, the part of a URL after its name, into an address and options.
 
     Options are the parameters of ``opener`` with a default, and the names in ``more``. Parameters
-    in ``but`` are not options. ``rest`` is an address without options if it is the name of a file,
-    if the part after ``?`` does not look like options (``text:Is it so?``), or if no options exist.
+    in ``but`` are not options. ``rest`` has no options if there is a file with this name, or if the
+    part after ``?`` does not look like options (``text:Is it so?``).
     """
     address, mark, query = rest.rpartition("?")
     known = options_of(opener, but) | more

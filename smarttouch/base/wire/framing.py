@@ -52,8 +52,8 @@ class Deframer:
             return None
         while at + data[at] < len(data):
             at += data[at]
-        # Set the length of the last COBS block to the bytes that have arrived. After a complete
-        # block, unless it has the largest length, a zero follows in the decoded packet.
+        # Set the length of the last COBS block to the number of bytes that have arrived. A complete
+        # block stands for its bytes and a zero; a block of the largest length adds no zero.
         zero = b"\0" if at + data[at] == len(data) and data[at] < 0xFF else b""
         data[at] = len(data) - at
         decoded = bytes(cobs.decode(bytes(data))) + zero

@@ -70,7 +70,7 @@ def open_port(
 
 
 def _is_device(port: Port) -> bool:
-    """Return whether a port is a device. A pseudo-terminal would remain locked after closing."""
+    """Return False for a pseudo-terminal: it would remain locked after the port is closed."""
     try:
         return not os.ttyname(port.fileno()).startswith(_PSEUDO)
     except (OSError, AttributeError):
@@ -151,8 +151,8 @@ def _descriptor(port: Port) -> int | None:
 
 
 def read_some(port: Port) -> bytes | None:
-    """Return the received bytes; wait for the first byte up to the port's timeout. Return None if
-    another program has read the bytes."""
+    """Return the received bytes. Wait for the first byte, but not longer than the port's timeout.
+    Return None if another program has read the bytes."""
     if (number := _descriptor(port)) is None:
         return bytes(port.read(port.in_waiting or 1))
     if not select.select([number], [], [], port.timeout)[0]:
