@@ -46,7 +46,7 @@ def probe_sequences(
     returns = [back for turn in turns for back in np.roll(sites, -turn)[:, None]]
     if not in_pairs:
         # The first return electrodes of a slot carry the rounding remainder. Let them follow the
-        # driven electrode, so that each slot has other first return electrodes.
+        # driven electrode, so that they differ from slot to slot.
         returns = [np.roll(sites, -at)[1:] for at in range(len(sites))]
     slot_us = max(PROBE_US + _DISCHARGE_US, int(np.ceil(PROBE_US / limits.duty))) + _SWITCHING_US
     # The ramp rises only while current flows, so a scan must last until the next step is allowed.

@@ -195,7 +195,7 @@ class SafetyGate:
     def __init__(self, limits: SafetyLimits, clock: Clock | None = None) -> None:
         self.limits: SafetyLimits = limits
         self.ramp: Ramp = Ramp(limits.ramp_ns, clock)
-        """Ramp that limits planned sequences, and sequences that are about to be written."""
+        """Ramp that limits the strength of sequences, in plans and again before writing."""
         self.session: int = 0
         """Number of the present session; boards reject sequences of other sessions."""
         self._clock = clock
@@ -226,7 +226,7 @@ class SafetyGate:
             return 0 if self._clock is None else self._exposure.net_rest_ns(self._clock.now_ns())
 
     def begin_session(self) -> None:
-        """Start a session with ramp and dose at zero. Limits per second still count old pulses."""
+        """Start a session: ramp and dose are zero. Limits per second still count earlier pulses."""
         now_ns = None if self._clock is None else self._clock.now_ns()
         self._exposure.begin_session(now_ns)
         self.session += 1

@@ -232,7 +232,7 @@ class _Pass(NamedTuple):
     start_ns: int
     end_ns: int
     sums: Sums
-    most: float  # largest of `sums[:2]`; no net charge × `PER_PC` is larger
+    most: float  # largest of `sums[:2]`, and at least each net charge × `PER_PC`
 
 
 class _Sent(NamedTuple):
