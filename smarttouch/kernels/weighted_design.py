@@ -1,7 +1,7 @@
 """Design of optimal kernels by the paper's min–max program, with a bound on spill.
 
-Row a is the activating function (AF) at the target node for 1 mA through each electrode. Rows A are
-the same at all nodes of other classes. The paper's program (Eq. 10 to 18) is::
+Row a is the activating function (AF) at the target node for 1 mA through each electrode. The rows
+of A are the AF at all nodes of other classes. The paper's program (Eq. 10 to 18) is::
 
     minimize t   such that   A w ≤ t,   a·w = 1,   Σw = 0
 
