@@ -193,7 +193,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
             file = os.fdopen(owner_only(os.fspath(path), flags), "r+b")
             status = os.fstat(file.fileno())
             if user_number() is not None and status.st_mode & 0o077:
-                # Ignore errors if the user owns the file, as some file systems have no modes.
+                # Ignore errors for the user's own file: some file systems have no permissions.
                 with contextlib.suppress(*[OSError] * (status.st_uid == user_number())):
                     os.fchmod(file.fileno(), 0o600)
         except OSError as failure:
