@@ -32,14 +32,14 @@ from smarttouch.experiments.psychometric import Array, Counts, Guess, Model
 WORDS, NUMBER, OPTIONAL, ANSWER = "words", "number", "optional number", "answer"
 """Kinds of columns. Cells of the kinds `OPTIONAL` and `ANSWER` can be empty."""
 COLUMNS = {
-    # Numbers, from 0, of repetition, trial in the repetition, trial in the file, and condition.
+    # Counted from 0: repetition, trial in the repetition, trial in the file, and condition.
     "thisRepN": NUMBER, "thisTrialN": NUMBER, "thisN": NUMBER, "thisIndex": NUMBER,
     "experiment": WORDS, "procedure": WORDS,
     "standard": OPTIONAL,  # empty in trials without a standard
     "comparison": NUMBER,  # current, frequency, distance or softness
     "comparison_interval": OPTIONAL,  # 1 or 2; empty in trials with a single interval
     "unit": WORDS,  # of standard and comparison, such as Hz, mA or mm
-    "target": WORDS, "response": WORDS,  # correct response; response given, empty if none
+    "target": WORDS, "response": WORDS,  # target: correct response; response: empty if none came
     "success": ANSWER,  # 1 if judged higher, felt or correct, else 0; empty without an answer
     "rt": OPTIONAL,  # reaction time from the end of the stimulus, s
     "time_s": NUMBER, "level": NUMBER,  # time in the run; intensity chosen by the user, 0 to 1
@@ -302,9 +302,7 @@ class Answers:
 
 def usual_model(
     all_answers: Sequence[Answers],  # one for each standard
-    # See `Model.guess`. If None: "equal" with standards or negative comparisons; otherwise
-    # 1 / `Answers.alternatives` if known; otherwise "free" with a comparison of 0; otherwise 0.
-    guess: Guess | None = None,
+    guess: Guess | None = None,  # see `Model.guess`; None: chosen from the answers
     at: float | None = None,  # share of successes at the threshold, see `Model`
 ) -> Model:
     """Choose the psychometric model from the kind of answers."""

@@ -184,7 +184,7 @@ class ContactFound:
     """Contact of each electrode with the skin."""
 
     kohm: NDArray[np.float64]  # (E,): median impedance; infinite if open
-    # (E,): robust standard deviation; NaN after a single measurement, or if open
+    # (E,): robust standard deviation of the impedance; NaN if open, or after one measurement
     spread_kohm: NDArray[np.float64]
     # (E,): condition in the majority of measurements; ``unsure`` without a majority
     condition: tuple[Condition, ...]

@@ -222,7 +222,7 @@ def softness(setup: Setup) -> Trials:
     """Ask which of two points is softer while the finger moves (paper, Section III-B.2).
 
     The pulse rate of one point follows the finger's force, as on a hard object. The comparison is
-    the softness of the other point; at softness 1 its pulse rate is constant.
+    the softness of the other point, whose pulse rate is constant at softness 1.
     """
     if setup.afferent is not Afferent.SAI:
         raise ExperimentError("softness is felt through SAI: give --mode SAI")

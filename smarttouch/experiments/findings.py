@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 FEWEST_ANSWERS = 15
 MOST_UNANSWERED = 0.5
-"""Largest allowed share of unanswered trials. Above it the answers may be biased."""
+"""Largest allowed share of unanswered trials. With a larger share, the answers may be biased."""
 SAME_INTERVAL = 0.95
 """Largest allowed share of answers that name the same interval. A larger share means guessing."""
 FLAT = 0.02  # largest p value with which answers count as dependent on the comparison
-_FALLING = -2.58  # a trend with a smaller z score is falling; by chance, 1 of 200 is smaller
+_FALLING = -2.58  # largest z score of a falling trend; 1 of 200 random trends is below it
 _CURVE_POINTS = 301
 _BOUNDED = ("threshold", "weber", "middle", "lower", "lower_weber")
 
@@ -129,7 +129,7 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
         if _trend(counts) < _FALLING:
             return none(
                 f"higher comparisons were {success} less often than lower ones: check whether the "
-                "keys are swapped, or comparison and standard"
+                "keys, or the comparison and the standard, are swapped"
             )
         return none(
             f"answers do not depend on the comparison: {success} in {share:.0%} of {total} "
@@ -172,8 +172,8 @@ def _chance_of_flat(fitted: Fit, share: float) -> float:
 def _guessing(answers: Answers, model: Model) -> float:
     """Return the share of successes of a participant who guesses.
 
-    If a success is a correct answer, the share is known. Otherwise return the observed share. This
-    choice weakens the test: adaptive procedures keep the observed share nearly constant.
+    If a success is a correct answer, the share is known. Otherwise return the observed share, which
+    weakens `_chance_of_flat`: adaptive procedures keep the observed share nearly constant.
     """
     if not isinstance(model.guess, str) and model.guess > 0:
         return model.guess
@@ -312,7 +312,7 @@ def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
             ]
             standard, *bounded = np.array(rows).T
             value, low, high = np.array(bounded) / standard - 1
-            # Draw an undetermined end as far from the value as the value is from 0.
+            # Draw an undetermined end of an interval as far from the value as the value is from 0.
             reach = np.array([value - low, high - value])
             reach = np.where(np.isinf(reach), np.abs(value), reach).tolist()
             axes.errorbar(standard * aside, value, reach, fmt=style, color=color, ms=4, lw=1,

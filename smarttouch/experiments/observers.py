@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 
 BASE_WEBER = 0.125
 """Weber fraction (75 % correct answers) if the perceived frequency is proportional to the pulse
-rate. Our choice: in RA mode, Weber fractions up to 45 Hz are then below 20 % (paper, III-C)."""
+rate. Our choice: with it, Weber fractions in RA mode are below 20 % up to 45 Hz (paper, III-C)."""
 RA_LIMIT_HZ = 65.0
 """Highest frequency perceived without PC spikes. Our choice: the middle of the range from 60 to 70
 Hz, in which the paper's bands of RA and PC overlap."""
@@ -66,7 +66,7 @@ SPREAD = math.log1p(BASE_WEBER) / float(math.sqrt(2) * ndtri(0.75))
 @cache
 def _learned() -> tuple[Array, Array]:
     """Return frequencies of vibration, Hz, and the ratio of PC to RA spikes at each."""
-    # Stop where PC is most sensitive: `np.interp` needs rising ratios. They fall above 300 Hz.
+    # Stop where PC is most sensitive: `np.interp` needs rising ratios, but above 300 Hz they fall.
     hz = np.geomspace(RA_LIMIT_HZ, best_hz(Afferent.PC), 200)
     return hz, sensitivity(Afferent.PC, hz) / sensitivity(Afferent.RA, hz)
 
@@ -74,8 +74,8 @@ def _learned() -> tuple[Array, Array]:
 def believable_hz(ratio: float) -> float:
     """Return the highest frequency, Hz, that is perceived at a ratio of PC to RA spikes.
 
-    The result is the frequency of the mechanical vibration that evokes this ratio of spikes (PC's
-    sensitivity divided by RA's; paper, Fig. 2). Without PC spikes the result is `RA_LIMIT_HZ`.
+    A mechanical vibration of this frequency evokes the same ratio: the sensitivity of PC divided by
+    that of RA (paper, Fig. 2). Without PC spikes the result is `RA_LIMIT_HZ`.
     """
     hz, ratios = _learned()
     return float(np.interp(ratio, ratios, hz))
@@ -208,12 +208,13 @@ class SimulatedObserver:
 
     finger: Finger
     seed: int = 0
-    # Mean number of afferents that fire in a slot, at which a train is felt in half of the trials.
+    # A train is felt in half of the trials if this number of afferents fires in a slot on average.
     # We choose one afferent in every second slot, because a person can feel the spikes of a single
     # RA afferent (Vallbo et al. 1984).
     felt_afferents: float = 0.5
     slope: float = 0.1  # standard deviation of the noise in log(afferents per slot)
-    # guess: share of *felt* without spikes; lapse: share of random answers
+    # guess: share of trials without spikes that are answered *felt*; lapse: share of trials whose
+    # answer does not depend on the spikes
     guess: float = 0.02
     lapse: float = 0.02
     # standard deviation of a perceived position, mm

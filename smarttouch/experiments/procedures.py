@@ -199,12 +199,12 @@ def quest_plus(
     two_intervals: bool = True,  # whether a second interval presents the standard
     seed: int = 0,  # seed of the order of intervals
 ) -> Procedure:
-    """Present the stimulus whose answer has the largest expected information, on a grid of
-    threshold, slope and lapse rate (QUEST+, Watson, Journal of Vision 17(3):10, 2017).
+    """Present the stimulus whose answer has the largest expected information (QUEST+, Watson,
+    Journal of Vision 17(3):10, 2017). The posterior is a grid of threshold, slope and lapse rate.
 
-    The expected information is the expected decrease of the posterior's entropy. It is computed
-    without a posterior for each stimulus, as the entropy of the answer minus the mean entropy of
-    the answer at known parameters. A trial without an answer counts toward ``most_trials``.
+    The expected information is the expected decrease of the posterior's entropy. It equals the
+    entropy of the answer minus the mean entropy of the answer at known parameters. A trial without
+    an answer counts toward ``most_trials``.
     """
     low, high = math.log(lowest), math.log(highest)
     places = np.linspace(low, high, _STIMULI)

@@ -23,12 +23,12 @@ Guess = float | Literal["equal", "free"]
 MOST_LAPSES = 0.1
 """Largest lapse rate (our own choice). Lapses are answers that do not depend on the stimulus."""
 MOST_GUESSES = 0.5
-"""Largest fitted guess rate. The guess rate is the share of *felt* in trials without a stimulus."""
+"""Largest fitted guess rate: share of trials without a stimulus that are answered *felt*."""
 QUANTILES = (0.5, 0.025, 0.975)
 """Quantiles of the posterior: the estimate and the ends of its 95 % interval."""
 _MIDDLES, _SPREADS, _LAPSES, _GUESSES = 151, 21, 5, 6
 _NARROWEST, _WIDEST = 1 / 40, 1.0
-"""Smallest and largest spread of the grid, relative to the range of comparisons. Our own choice:
+"""Smallest and largest spread on the grid, relative to the range of comparisons. Our own choice:
 the 95 % intervals then contain the true threshold for 92 to 98 % of simulated subjects."""
 _EDGE = 0.05
 """Margin at the edge of the grid, relative to the range of comparisons. If a credible interval
@@ -56,7 +56,7 @@ class Parameters(NamedTuple):
 
 
 class Bounded(NamedTuple):
-    """Estimate with its credible interval. An end that the answers do not determine is infinite."""
+    """Estimate and its credible interval. An undetermined end of the interval is infinite."""
 
     value: float
     low: float
@@ -67,13 +67,13 @@ class Bounded(NamedTuple):
 class Model:
     """Family of psychometric functions that increase with the stimulus."""
 
-    # Lower asymptote. A number: the known guess rate, 0.5 for two intervals, 1/m for m letters.
-    # "equal": equal to the lapse rate (for *which was higher*, comparisons on both sides of the
-    # standard). "free": fitted, up to `MOST_GUESSES` (for *felt*, some trials without a stimulus).
+    # Lower asymptote. A number is the known guess rate: 0.5 for two intervals, 1/m for m letters.
+    # "equal" is the lapse rate; use it for *which was higher*, with comparisons on both sides of a
+    # standard. "free" is a fitted rate; use it for *felt*, with some trials without a stimulus.
     guess: Guess = "equal"
-    # Share of successes at the threshold, for a participant without lapses (and, if `guess` is
-    # "free", without guesses). None: 0.75 if `guess` is "equal" (paper, Section III.C); 0.5 if
-    # `guess` is "free"; otherwise (1 + `guess`) / 2.
+    # Share of successes at the threshold, for a participant without lapses. If `guess` is "free",
+    # the participant does not guess either. None means 0.75 if `guess` is "equal" (paper, Section
+    # III.C), 0.5 if `guess` is "free", and otherwise (1 + `guess`) / 2.
     at: float | None = None
     logarithmic: bool = True  # whether x is the logarithm of the stimulus
     most_lapses: float = MOST_LAPSES  # upper bound of the lapse rate
@@ -199,7 +199,7 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
     span = (last - first) or 1.0
     middles = np.linspace(first - span, last + span, _MIDDLES)
     spreads = np.linspace(np.log(span * _NARROWEST), np.log(span * _WIDEST), _SPREADS)
-    for _ in range(2):  # the second, finer grid covers only values with weight in the first
+    for _ in range(2):  # the second grid is finer and leaves out values of negligible weight
         functions = _grid(model, middles, np.exp(spreads))
         likely = log_likelihood(model.probability(x, functions), counts.n, counts.k)
         found = Fit(model, counts, (first, last), functions, likely)

@@ -70,7 +70,7 @@ def uncorrected(profile: Profile) -> Profile:
 _Stack = Sequence[NDArray[np.uint8]]
 
 MOST_UNEVEN = 0.05
-"""Largest allowed unevenness after correction. Above it the paper is printed or has moved."""
+"""Largest allowed unevenness after correction. Printed or moved paper is more uneven."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +273,7 @@ def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> 
 def _markers(working: Gray) -> tuple[Matrix, Matrix] | None:
     """Return corners of markers, (N, 2), in modules and in pixels; None if there is no marker."""
     parameters = cv2.aruco.DetectorParameters()
-    # The default window is too small for modules of up to 15 pixels in an enlarged image.
+    # In an enlarged image a module has up to 15 pixels, too many for the default window.
     parameters.adaptiveThreshWinSizeMax = 53
     detector = cv2.aruco.ArucoDetector(_board().getDictionary(), parameters)
     corners, ids, _ = detector.detectMarkers(working)

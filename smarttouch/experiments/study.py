@@ -208,7 +208,7 @@ def run_study(
     study: Study,
     beside: Path,  # folder to which file names in the study are relative
     folder: Path,  # folder of the results; created if missing
-    # called with the number done and the total: `designing` counts sites, `progress` fingers
+    # functions that receive a count and the total, of sites (`designing`) or fingers (`progress`)
     designing: Advance | None = None,
     progress: Advance | None = None,
 ) -> list[StudyRow]:

@@ -31,9 +31,9 @@ REACTION_S = 0.35  # reaction time: the threshold is the current 0.35 s before t
 PAUSE_S = (1.0, 2.0)
 """Range of the random pause before a run, s. After a fixed pause, time would reveal the current."""
 START_SHARE = (0.4, 0.7)
-"""Range of a random share. Later runs rise fast up to this share of the lowest threshold so far."""
+"""Range of a random share of the lowest threshold so far. Later runs rise fast to this current."""
 LEAP = 10  # slope of the fast rise (see `START_SHARE`), relative to the slope after the fast rise
-CEILING_S = 1.0  # a run ends after this time at the largest current
+CEILING_S = 1.0  # time at the largest current after which a run ends
 MOST_APART = 1.4  # largest ratio of the thresholds of two runs; above it, more runs follow
 EXTRA_RUNS = 2
 HURRIED_S = 0.8
@@ -63,7 +63,7 @@ def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
     electrode_ma = limits.electrode_ma or (most_ma,) * len(profile.electrodes)
     ceilings_ma = [_whole_ua(min(most_ma, limit_ma)) for limit_ma in electrode_ma]
     perception = profile.perception.model_dump() | {"comfort_ma": ceilings_ma}
-    # `ramp_s` is the time from zero to the ceiling: lengthen it with the ceiling to keep the slope.
+    # The ramp rises to the ceiling in `ramp_s`. To keep its slope, scale `ramp_s` with the ceiling.
     ramp_s = min(LONGEST_RAMP_S, limits.ramp_s * max(1.0, max(ceilings_ma) / full_ma))
     return Profile.model_validate({
         **profile.model_dump(), "perception": perception,
@@ -173,7 +173,7 @@ class AscendingLimits:
             if pressed:
                 threshold_ma, felt_at = levels[-1 - _REACTION], steps
             elif steps > _CEILING and levels[-1 - _CEILING] >= self.ceiling_ma:
-                # The current never falls, so it has been at the ceiling for `CEILING_S`.
+                # The current was at the ceiling `CEILING_S` ago, and has not fallen: end the run.
                 return threshold_ma, self.ceiling_ma if felt_at else math.nan
 
     def _is_hurried(self, steps: int, felt_at: int) -> bool:
@@ -198,8 +198,8 @@ _RESULTS = tuple(each.name for each in fields(Thresholds))
 class Progress(AnswerFile):
     """File with the results of a threshold session, with which an interrupted session continues.
 
-    Each result is on disk before `keep` returns. Settings other than ``about`` in an existing file
-    raise ExperimentError. An open file is locked. `close` removes a file without results.
+    Each result is on disk before `keep` returns. An open file is locked. `close` removes a file
+    without results. Raises ExperimentError if an existing file has settings other than ``about``.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Value]) -> None:

@@ -56,7 +56,7 @@ class TrialSource(Program):
         self._gap_s, self._answer_s, self._observer = gap_s, answer_s or math.inf, observer
         self.patience_s: float = math.inf if observer is None else PATIENCE_S
         self._pressed: deque[tuple[str, int]] = deque()
-        self._starts: list[Starts] | None = None  # one for each interval; None between stimuli
+        self._starts: list[Starts] | None = None  # timing of each interval; None between stimuli
         self._wanted: float | None = None  # latest current that `Trial.course` yielded, mA
         self._softness = 1.0  # softness of the train being presented
 
@@ -185,7 +185,7 @@ class TrialSource(Program):
             raise ExperimentError(
                 "a simulated participant cannot control a current: leave out --simulate"
             )
-        # `Trial.course` raises the current, so wait only for force and intensity.
+        # Wait for force, but do not raise the ramp: `Trial.course` raises the current.
         self._open(self._wait_for_force)
         full_ma = float(self._profile.full_ma[train.activation.any(axis=0)].min())
         level, before_ns, due_ns = 0.0, 0, round(STEP_S * 1e9)
@@ -209,7 +209,7 @@ class TrialSource(Program):
                     self._pressed.popleft()
             if self._wanted is None:
                 return None
-            # The gate allows a first step from zero as large as the ramp's rise in `FIRST_NS`.
+            # The gate allows the first level above zero to be as high as the ramp gets in `FIRST_NS`.
             risen_ns = min(since_ns - before_ns, MOST_STEP_NS) if level else FIRST_NS
             most_level = level + risen_ns / 1e9 / self._profile.limits.ramp_s
             level, before_ns = min(1.0, self._wanted / full_ma, most_level), since_ns

@@ -40,7 +40,7 @@ class Train:
     activation: NDArray[np.float32]
     period_us: int  # time from pulse to pulse
     pulses: int  # number of pulses; the train ends one period after the last pulse
-    level: float = 1.0  # in [0, 1]; the user's intensity is multiplied by it
+    level: float = 1.0  # factor for the user's intensity, in [0, 1]
     is_blank: bool = False  # whether the train is silent
     softness: float = 1.0  # 1: constant rate; 0: the rate follows the finger's force
 
