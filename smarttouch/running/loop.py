@@ -49,7 +49,7 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, checked_input
 
 HELD_UP_NS = 1_000_000
-"""Duration of a send, less its processor time, above which the send has waited for the board."""
+"""Longest wait for the board that is ignored: duration of a send, less its processor time."""
 _LATE_AGAIN_NS = 5_000_000_000  # late sequences less than this time apart are reported only once
 
 LOG = logging.getLogger("smarttouch.run")
@@ -78,7 +78,7 @@ def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iter
     threads = cv2.getNumThreads()
     # Images are small: a second thread costs more than it saves.
     cv2.setNumThreads(1)
-    # If objects were frozen before, leave them frozen at the end.
+    # If the program itself has frozen objects, leave them frozen at the end.
     freezes = not simulated_time and not gc.get_freeze_count()
     if not simulated_time:
         pipeline.warm_up()
@@ -175,7 +175,7 @@ class Controls:
             self._state = replace(self._state, **changes)
 
 
-NO_INK_NS = 5_000_000_000  # if a pressing finger meets no ink for this time, advise the user
+NO_INK_NS = 5_000_000_000  # time without ink, from the first press until the user is advised
 LIFT_NS = 300_000_000  # time at zero intensity after a lifted finger, before the ramp rises again
 
 
@@ -198,7 +198,7 @@ class Inputs:
     _last_seen: int | None = None
     _blind: bool = False
     _lifted_until_ns: int = 0
-    _inkless_since_ns: float | None = None  # first press without ink; infinite once advised
+    _inkless_since_ns: float | None = None  # first press without ink; infinity after the advice
 
     def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
         """Return the input, with the effective force, and the user's level; None at the end.
@@ -412,11 +412,11 @@ class Loop:
         """Deliver one input; return False at the end of the source or of the run."""
         inputs, clock = self.inputs, self._clock
         pipeline, board, phase = inputs.pipeline, inputs.board, self._phase
-        # Read the board's clock first: a pause between the two reads then makes `waits_ns` longer.
+        # Read the board's clock first. If the computer then pauses, `due_ns` is early instead of late.
         board_ns, now_ns = board.clock.now_ns(), clock.now_ns()
         since_ns, deadline_ns = now_ns - (self._start_ns or 0), self._zero_ns + self.elapsed_ns
         inputs.statistics.seconds = since_ns / 1e9
-        # Time since the deadline, or since the end of the last sequence if that was earlier.
+        # Time since the deadline or since the end of the last sequence, whichever is longer.
         waits_ns = max(0, now_ns - deadline_ns, now_ns - self._over_ns if self._over_ns else 0)
         if waits_ns > LATE_NS and self._may_stall:
             # After a stall, send the next sequence now and restart the ramp.
@@ -468,7 +468,7 @@ class Loop:
         self.inputs.pipeline.restart_at_zero()
 
     def _plan_next(self, result: StepResult, sent: Sent, now_ns: int) -> None:
-        """Add a step to the statistics, and move deadlines later by the delays of the step."""
+        """Add a step to the statistics, and plan the deadline of the next step."""
         statistics, phase = self.inputs.statistics, self._phase
         if result.number is None:
             self._zero_ns += sent.sent_ns - now_ns
@@ -486,7 +486,7 @@ class Loop:
                 statistics.late += 1
                 self._zero_ns += late_ns
             more_ns = 0 if phase is None else phase.follow(self._zero_ns, sent)
-            # Expect the next step later by `more_ns`: this intended delay is not an error.
+            # Expect the next step later by `more_ns`: otherwise this delay would count as an error.
             self._zero_ns += more_ns
             self._expected_ns = now_ns + sent.period_ns + more_ns
             self._over_ns = sent.sent_ns + sent.period_ns + more_ns

@@ -89,7 +89,7 @@ class Regulator:
 
 
 class Pipeline:
-    """Conversion of frames and stimuli to scan sequences; times are those of the inputs.
+    """Conversion of frames and stimuli to scan sequences. Inputs state the time; there is no clock.
 
     If ``vibrated``, mechanical vibrators stimulate PC, and PC gets no current. If ``in_sums``, each
     slot is a sum of quantized kernels, for boards that store kernels.
@@ -208,7 +208,7 @@ class Pipeline:
             gone = max(0, 0 if self._restarted else time_ns - self._time_ns) / self._limits.ramp_ns
             self._vibration, self._time_ns = min(wanted, self._vibration + gone), time_ns
             if not np.delete(activation, Afferent.PC, axis=0).any():
-                # No class gets current. The ramp of the vibrator has been applied above.
+                # Only the vibrator stimulates, and its ramp has been applied above.
                 wanted, strength = self._vibration, 1.0
         sequence = scan.schedule(tactile, wanted, pressure, strength, regulator.adaptation)
         if allowed is None:

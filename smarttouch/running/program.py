@@ -380,7 +380,7 @@ class Program(Source, Listener):
                             loop.resume()
                             self.now_ns = loop.elapsed_ns
         except Exception as error:
-            # Store the error: the next call from the program raises it. After the run, ignore it.
+            # Store the error for the next call from the program. Ignore errors after the run.
             if self._loop is not None and not self._loop.stop.event.is_set():
                 self._failed = self._failed or error
                 with contextlib.suppress(SmartTouchError):
@@ -404,7 +404,7 @@ class Program(Source, Listener):
     @contextmanager
     def _turn(self, waits: bool = True) -> Iterator[Loop]:
         """Wait until no other thread shows a pattern, set the next deadline to now, and yield the
-        loop. ``waits`` is false only for patterns of `put`, which give way to all others."""
+        loop. If ``waits``, patterns of `put` give way until the turn begins."""
         waiting = [object()] * waits
         self._waiting.extend(waiting)
         self._news.set()
@@ -463,8 +463,8 @@ class Program(Source, Listener):
             weak = np.asarray(np.float32(faint) * active, np.float32)
             sequence = self._send(self._stimulus(weak, self._silent_us, level)).sequence
             if 0 < STEADY * self._requested(exact) <= sequence.intensity:
-                # These pulses were too weak to raise the ramp: double their activation. If there
-                # are no pulses at full activation, no current can flow, and no ramp is needed.
+                # These pulses were too weak to raise the ramp: double their activation. If full
+                # activation gives no pulses, no current can flow, and no ramp is needed.
                 if faint == 1 and not sequence.slots:
                     return 0.0
                 faint = min(1.0, 2 * faint)
@@ -487,7 +487,7 @@ class Program(Source, Listener):
     def _stimulus(
         self, pattern: NDArray[np.float32] | Frame, period_us: int | None, level: float = 1.0
     ) -> Stimulus:
-        """Convert a pattern to a stimulus; the activation of a frame is computed here."""
+        """Convert a pattern to a stimulus. For a frame, compute the activation first."""
         force_n, image = self._press_n, None
         if isinstance(pattern, Frame):
             force_n = force_n if math.isnan(pattern.force_n) else pattern.force_n

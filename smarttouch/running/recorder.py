@@ -180,7 +180,7 @@ class Recorder(Listener):
         self._steps += 1
 
     def _is_new(self, image: NDArray[np.uint8], number: int) -> bool:
-        """Return whether an image must be written: its number or its pixels have changed."""
+        """Return whether an image must be written, because its number or pixels have changed."""
         before, self._image = self._image, (image, number)
         return (
             before is None

@@ -95,7 +95,7 @@ def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
     sides = {"current_ua": [electrodes], "activation": [3, electrodes], "recharge_ua": [electrodes]}
     arrays = {}
     for field in fields(RunArrays):
-        # The last type argument is a dtype before NumPy 2.5, and a scalar type since then.
+        # The last argument of an array type is a dtype before NumPy 2.5, and a scalar type later.
         kind: Any = get_args(field.type)[-1]
         kind = (get_args(kind) or (kind,))[0]
         made: Any = columns[field.name]
@@ -139,8 +139,8 @@ class RecordedRun:
             )
         if self.about.get("digest") != digest_of(self.about):
             raise RecordingError(
-                f"the description of the run in {path} was changed or is damaged, because its "
-                "digest does not match: use an intact copy"
+                f"the description of the run in {path} does not match its digest, so it was "
+                "changed or damaged: use an intact copy"
             )
 
     def __repr__(self) -> str:

@@ -241,9 +241,9 @@ class PhaseLock:
     """Phase lock, which moves a loop's deadlines later, so that images are as fresh as possible.
 
     The board reports when it starts each sequence. The deadline of a sequence should precede
-    this start by the sum of transfer time, usual delay of sending, and `GUARD_NS`. If a deadline is
+    its start by the sum of transfer time, usual delay of sending, and `GUARD_NS`. If a deadline is
     too early, all following deadlines move later. Deadlines never move earlier: if a deadline is
-    too late, the board starts this sequence and all later sequences later.
+    too late, the board starts this sequence and all following sequences later.
     """
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:
@@ -251,7 +251,7 @@ class PhaseLock:
         self._pending: deque[Sent] = deque(maxlen=8)
         self._delays_ns: deque[int] = deque(maxlen=64)
         self._transfers: deque[tuple[int, int]] = deque(maxlen=8)
-        """Number and transfer time, ns, of each sequence for which the board waited."""
+        """Number and transfer time, ns, of each sequence that arrived at an idle board."""
         self._free_ns: int | None = None
         """Expected end of the newest sequence whose start is known, by the loop's clock."""
         self.newest: FirstPulse | None = None

@@ -1,4 +1,4 @@
-"""Runner, which assembles a run and ends it at zero; and functions to run, step and replay."""
+"""Runner, which assembles a run and ends it at zero current. Functions `run`, `steps`, `replay`."""
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
@@ -219,7 +219,7 @@ class Runner:
             board.notes.append(priority_advice())
 
     def _notes(self) -> list[str]:
-        """Return the notes of board, source and force so far."""
+        """Return the notes so far, from the board, the source and the source of force."""
         noted = self.display.board.notes[self.display.notes_reported :]
         return [*noted, *self.source.notes, *(() if self._force is None else self._force.notes)]
 
