@@ -4,7 +4,7 @@ from smarttouch.imaging.registration import PIXELS_PER_CELL
 from smarttouch.profile import Profile
 
 FEWEST_ROWS = 4  # fewest rows on which letters can be distinguished
-SAMPLES_PER_PITCH = 4  # pulses of an electrode while the text moves by one pitch
+SAMPLES_PER_PITCH = 4  # number of pulses of an electrode while the text moves by one pitch
 _PRESS = 1.1  # reading force of a virtual finger, relative to the profile's full force
 
 

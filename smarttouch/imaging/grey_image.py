@@ -22,7 +22,7 @@ _MIXES = np.vstack([(0.299, 0.587, 0.114), np.eye(3)[[1, 0, 2]], (1 - np.eye(3))
 _AROUND = np.ones((5, 5), np.uint8)  # neighborhood of a pixel for the detection of edges
 _EDGE_LEVELS = 40  # smallest difference of gray levels that counts as an edge
 _FEWEST_EDGES = 50  # smallest number of edge pixels from which color weights are chosen
-_PRINT_SHARE = 0.1  # an area with more edge pixels than this share of its outline pixels has print
+_PRINT_SHARE = 0.1  # ratio of edge pixels to outline pixels above which an area has print
 _NO_PAGE = 1 | 4  # bits in a TIFF's NewSubfileType that mark thumbnails and masks
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
 """Exceptions of Pillow for damaged files."""
@@ -33,7 +33,7 @@ class GreyConverter:
 
     Many images do not state the level of white, the background of transparent pixels or the weights
     of colors. The converter chooses these values for the first image that needs them, and keeps
-    them. But a brighter image raises white, and an image that loses edges changes the weights.
+    them. A later image changes them only if it is brighter than white or would lose edges.
     """
 
     def __init__(self) -> None:
@@ -76,8 +76,8 @@ class GreyConverter:
 
 
 def _ground(grey: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> tuple[int, int | None]:
-    """Return the levels of background and print for a transparent image. The level of print is
-    None if the visible pixels show print on paper. Otherwise all visible pixels are print."""
+    """Return the level of the background and the level of the visible pixels in a transparent
+    image. If the visible pixels show print on paper, return None to keep their own levels."""
     visible = np.asarray(alpha >= max(1, int(alpha.max()) // 2), np.uint8)
     inner = cv2.erode(visible, _AROUND) > 0
     edges = cv2.morphologyEx(grey, cv2.MORPH_GRADIENT, _AROUND)[inner] >= _EDGE_LEVELS
@@ -88,8 +88,8 @@ def _ground(grey: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> tuple[int, int
 
 
 def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
-    """Return the index of the weights that preserve edges best, or ``present`` if these weights
-    are nearly as good. An edge is preserved if it has at least half of its largest contrast."""
+    """Return the index of the weights that preserve edges best, or ``present`` if its weights are
+    nearly as good. A preserved edge has at least half the contrast that its best weights give."""
     mixed = cv2.transform(colors[:: 1 + len(colors) // 400], _MIXES)
     edges = cv2.morphologyEx(mixed, cv2.MORPH_GRADIENT, _AROUND)
     edges = edges[edges.max(axis=2) >= _EDGE_LEVELS].astype(np.float32)
@@ -101,7 +101,7 @@ def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
 
 def _white_level(values: Pixels, black: float = 0.0) -> np.float64:
     """Estimate the level of white: the largest number with as many bits as the largest level, for
-    example 1, 255 or 65535. If there are negative levels, return the range of all levels."""
+    example 1, 255 or 65535. If ``black`` is negative, return the largest level minus ``black``."""
     peak = float(values.max()) - black
     least = 1 if values.dtype.kind == "f" or peak <= 1 else 255
     return np.float64(peak if black < 0 < peak else max(least, 2 ** int(peak).bit_length() - 1))

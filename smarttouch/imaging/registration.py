@@ -21,16 +21,16 @@ class Apertures(NamedTuple):
     """Indexes and weights of the pixels under each electrode. An electrode has at most P pixels."""
 
     pixel: NDArray[np.intp]  # (P, E) index of each pixel in the flattened frame
-    share: NDArray[np.float32]  # (P, E) weight of each pixel in the mean, divided by 255
+    share: NDArray[np.float32]  # (P, E) weight of each pixel, divided by the value of ink, 255
 
 
 class Registration:
     """Registration of frames with an array, to average the ink in the aperture of each electrode.
 
-    The aperture is the cell of the electrode divided by the magnification: a rectangle on the page,
-    a quadrilateral in the image of a tilted camera. The mean is weighted by area: samples of single
-    pixels would alias. Frames are binarized at `working_shape`, which follows from
-    `PIXELS_PER_CELL`. Raises ProfileError for an impossible homography.
+    The aperture is the cell of the electrode, divided by the magnification. Each pixel is weighted
+    by its area inside the aperture; averages of whole pixels would alias. Frames are binarized at
+    `working_shape`, which follows from `PIXELS_PER_CELL`. Raises ProfileError for an impossible
+    homography.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
     nth = np.arange(len(pixel_index)) - (counts.cumsum() - counts)[electrode]
     pixels = np.zeros((counts.max(initial=0), len(electrodes)), np.intp)
     shares = np.zeros(pixels.shape, np.float32)
-    # A pixel with n samples has the sum of n equal weights, `weights.cumsum()[n - 1]`.
+    # The weight of a pixel with n samples is the sum of n weights, `weights.cumsum()[n - 1]`.
     weights = np.full(samples.max(initial=1), 1 / (255 * across * down), np.float32)
     pixels[nth, electrode], shares[nth, electrode] = pixel, weights.cumsum()[samples - 1]
     return Apertures(pixels, shares)

@@ -14,8 +14,8 @@ from smarttouch.imaging.registration import Registration
 from smarttouch.profile import Profile
 
 LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper
-LEAST_GRAINS = 4.0  # smallest contrast of print, in multiples of the contrast of the paper's grain
-PALE = 0.3  # from this contrast, relative to white paper, dark spots are print, not grain
+LEAST_GRAINS = 4.0  # smallest contrast of print, relative to the contrast of the paper's grain
+PALE = 0.3  # smallest contrast, relative to white paper, at which dark spots cannot be grain
 BLURRED = 0.3
 """Smallest contrast of ink, relative to white paper. If the largest contrast of a frame is below
 0.5, then 0.6 of this largest contrast is enough."""
