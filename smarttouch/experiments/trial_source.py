@@ -209,7 +209,7 @@ class TrialSource(Program):
                     self._pressed.popleft()
             if self._wanted is None:
                 return None
-            # The gate allows the first level above zero to be as high as the ramp gets in `FIRST_NS`.
+            # The gate allows a first level above zero as high as the ramp gets in `FIRST_NS`.
             risen_ns = min(since_ns - before_ns, MOST_STEP_NS) if level else FIRST_NS
             most_level = level + risen_ns / 1e9 / self._profile.limits.ramp_s
             level, before_ns = min(1.0, self._wanted / full_ma, most_level), since_ns

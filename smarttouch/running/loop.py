@@ -412,7 +412,7 @@ class Loop:
         """Deliver one input; return False at the end of the source or of the run."""
         inputs, clock = self.inputs, self._clock
         pipeline, board, phase = inputs.pipeline, inputs.board, self._phase
-        # Read the board's clock first. If the computer then pauses, `due_ns` is early instead of late.
+        # Read the board's clock first. If the computer then pauses, `due_ns` is early, not late.
         board_ns, now_ns = board.clock.now_ns(), clock.now_ns()
         since_ns, deadline_ns = now_ns - (self._start_ns or 0), self._zero_ns + self.elapsed_ns
         inputs.statistics.seconds = since_ns / 1e9
