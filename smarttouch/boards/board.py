@@ -202,7 +202,7 @@ class Board:
             self._opened = True
             self._line.require_running()
         except BaseException:
-            # If the board is already open (Ctrl-C), `close` sets it to zero and unregisters it.
+            # Ctrl-C can come when the board is already open: `close` then sets it to zero.
             if self._opened:
                 self.close()
             else:
@@ -368,7 +368,7 @@ class Board:
                 f"{FARTHEST_NS / 1e9:g} s: compute it from board.clock.now_ns()"
             )
         if isinstance(times, (int, np.integer)) and times > LONGEST_REPEAT:
-            raise BoardError(f"times is {times}: give {LONGEST_REPEAT} at most")
+            raise BoardError(f"times is {times}: give at most {LONGEST_REPEAT}")
         if sequence.recharge_ua is not None and not can.recharges:
             raise BoardError("this board cannot make a recharge phase: send sequences without one")
         proved = self._gate.prove(
@@ -505,7 +505,7 @@ class Board:
                 self._failure = fault
             self._news.notify_all()
         if not isinstance(fault, LineLostError):
-            # Set zero, because the board would repeat its last pattern.
+            # Set the board to zero: otherwise it would repeat its last pattern.
             with contextlib.suppress(BoardError):
                 self._line._put_at_zero()
 
@@ -590,8 +590,8 @@ class Board:
         return self._gate.dose
 
     def _require_own(self, use: str = "") -> None:
-        """Raise BoardClosedError in a forked process: its parent owns the board. With ``use``, an
-        action that needs an open board, raise this error also if the board is not open."""
+        """Raise BoardClosedError in a forked process, because its parent owns the board. If ``use``
+        names an action that needs an open board, also raise the error for a closed board."""
         if self._opened and self._opened_by != os.getpid():
             raise BoardClosedError(
                 f"the board belongs to process {self._opened_by}, which forked this process: make "

@@ -283,7 +283,7 @@ class Line:
             finally:
                 self._lock.release()
                 if begun and self._stopped.is_set() and not zeroing:
-                    # The stop may have set zero before this write ended: set zero again.
+                    # A stop may have come before this write ended: set the board to zero again.
                     self._put_at_zero()
 
     def later(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
@@ -345,7 +345,7 @@ class Line:
             self._entries.put(json.dumps(entry))
 
     def _keep(self, path: Path) -> None:
-        """Write the recording in a separate thread: a slow disk must not delay pulses or zero."""
+        """Write the recording in a separate thread: a slow disk must not delay pulses or a stop."""
         try:
             with open(path, "a", opener=owner_only) as file:
                 for entry in iter(self._entries.get, ""):
@@ -420,7 +420,7 @@ class Line:
     # -- reports of a driver, from any thread ----------------------------------
 
     def started(self, proved: ProvedSequence, time_ns: int, board_us: int) -> None:
-        """Report the start of a sequence: by `now_ns`, and in µs by the clock of the device."""
+        """Report a sequence's start: ``time_ns`` by `now_ns`, ``board_us`` by the board's clock."""
         starts = self.board._starts
         starts[proved.number] = time_ns, board_us
         self.board.acknowledged += 1

@@ -33,8 +33,8 @@ class Capabilities:
     acknowledges: bool = False
     """Whether the board reports the start of each sequence."""
     host_timed: bool = False
-    """Whether the host times each pass. The sender thread then calls `Driver.write`, which reports
-    each pass and returns after the last pass. A newer sequence replaces a waiting one."""
+    """Whether the host times each pass. If so, `Driver.write` reports each pass, and returns after
+    the last pass, or earlier if a newer sequence is waiting."""
     measures: bool = False
     """Whether the board measures the voltage of each slot."""
     force: bool = False
@@ -54,7 +54,7 @@ class Capabilities:
     packet_bytes: int | None = None
     """Size of the largest decoded packet, bytes, if limited."""
     kept_ms: float | None = None
-    """Longest time from the end of this program to zero, if a watchdog process sets zero."""
+    """Longest time from the end of this program to zero; None if the board has no watchdog."""
 
     def describe(self) -> list[tuple[str, str]]:
         """Return the capabilities as names and values, for display."""

@@ -129,7 +129,7 @@ class _Run:
 class RunEntry:
     """Entry of this process in the run registry.
 
-    ``on_stop`` is called in a thread, with a reason, and returns whether all boards are at zero.
+    ``on_stop(reason)`` is called when the run must stop; it returns whether all boards are at zero.
     """
 
     def __init__(self, on_stop: Callable[[str], bool]) -> None:
@@ -176,7 +176,7 @@ class RunEntry:
         return total_ua
 
     def withdraw(self) -> None:
-        """Remove the entry, and tell a waiting stop whether all boards have confirmed zero."""
+        """Remove the entry; tell a waiting `stop_all` whether all boards have confirmed zero."""
         self._over.set()
         if self.lost_a_board:
             with suppress(OSError):
@@ -221,7 +221,7 @@ def stop_all() -> list[Answer]:
     problems, asked = [], []
     # Count this program as started after the stop: it may open boards to set them to zero.
     _begun_ns = now_ns()
-    # Write the mark before listing runs: a run that registers later sees the mark and ends.
+    # Write the file ``stopped`` before listing runs: runs that register later read it and end.
     try:
         make_folder(registry_folder())
         replace_file(registry_folder() / "stopped", f"{_place()[1]} {_begun_ns}".encode())
@@ -242,8 +242,8 @@ def stop_all() -> list[Answer]:
             problems.append(f"{run.name} cannot be asked to stop ({error}): switch the board off")
     deadline_s = time.monotonic() + ANSWER_S
     answers = [run.answer(deadline_s) for run in asked]
-    # Start times of processes have a resolution of 10 ms. Wait, so that a program that starts after
-    # this call has a later time than the mark.
+    # Wait longer than 10 ms, the resolution of process start times. Programs that start after this
+    # call then have a later start time than the time in the file ``stopped``.
     time.sleep(0.02)
     return [*answers, *map(Answer, problems)]
 

@@ -79,7 +79,7 @@ class _Process:
         try:
             if self.entry is None and not self.reason:
                 self.entry = RunEntry(self._stop_requested)
-            # Check only after registering: a stop that missed this run has already left its mark.
+            # Check after registering: the check finds stops that came too early to see the entry.
             if self.reason or self.entry is None or self.entry.is_asked or stopped_since_start():
                 raise BoardStoppedError(
                     f"this program was stopped by {self.reason or 'smarttouch stop'}, and can "
@@ -120,8 +120,8 @@ class _Process:
     def end(self, reason: str, *, for_good: bool = True) -> bool:
         """Set all boards to zero and ask all runs to end; return whether all boards have confirmed
         zero. With ``for_good``, no board can be opened afterwards."""
-        # Do not take the lock: a thread that waits for the disk may hold it. Another thread may
-        # register a board meanwhile. Either this board is in `boards`, or its `announce` fails.
+        # Do not take the lock: a thread that waits for the disk may hold it. A board that
+        # another thread registers meanwhile is in `boards`, or its `announce` fails: both are safe.
         if for_good:
             self.reason = self.reason or reason
         boards, entry = [*self.boards], self.entry
@@ -138,7 +138,7 @@ class _Process:
         for board in boards:
             threading.Thread(target=bring_to_zero, args=(board,), daemon=True).start()
         deadline_s = time.monotonic() + ZERO_WITHIN_S
-        # Meanwhile a run may close its board itself, which confirms zero, too.
+        # Wait until each board has confirmed zero in its thread, or was closed by its run.
         while self.boards and time.monotonic() < deadline_s:
             time.sleep(0.002)
         # A board that has not confirmed zero stays in the run registry until it is closed.
@@ -147,7 +147,7 @@ class _Process:
     def _stop_requested(self, reason: str) -> bool:
         at_zero = self.end(reason)
         if self.command is not None:
-            # The signal interrupts the main thread if it is waiting.
+            # Send a signal, which interrupts a main thread that is waiting.
             if hasattr(signal, "pthread_kill"):
                 signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
             else:
@@ -177,7 +177,8 @@ class _Signals:
         threading.Thread(target=self._work, name="signals", daemon=True).start()
 
     def close(self, *, forked: bool = False) -> bool:
-        """Stop handling signals; return False in another thread, or if a command is ending."""
+        """Stop handling signals. If this is not the main thread, or a command is ending, do nothing
+        and return False."""
         ending = self._command is not None and self.number and not forked
         if ending or threading.current_thread() is not threading.main_thread():
             return False
@@ -200,8 +201,8 @@ class _Signals:
             interrupt(RunStopped(self.number, _process.reason or None))
 
     def _set_wakeup(self, descriptor: int) -> bool:
-        """Let Python write the numbers of signals to ``descriptor``, unless an event loop has set
-        another one. Return whether Python already used the descriptor of this object."""
+        """Let Python write the numbers of signals to ``descriptor``, unless an event loop
+        has set its own descriptor. Return whether the descriptor of this object was set before."""
         before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
         if before not in (-1, self._wakes.fileno()):
             signal.set_wakeup_fd(before)
@@ -225,8 +226,7 @@ class _Signals:
                 again = self._command is None and number == signal.SIGINT
                 _process.end(SIGNALS[signal.Signals(number)], for_good=not again)
                 if self._command is not None:
-                    # Boards are at zero, or their state is unknown: end the process even if
-                    # something blocks.
+                    # Whether or not all boards are at zero, end the process: it may be blocked.
                     time.sleep(self._command.patience_s)
                     self._command.give_up(number)
         self._hears.close()

@@ -39,7 +39,7 @@ def steps_of(
     electrode: NDArray[np.intp], counts: int = 1,
 ) -> NDArray[np.int64]:  # fmt: skip
     """Convert the current of each slot, (S,) µA, to integer steps of ``counts`` counts. The
-    result keeps the limits of current and charge, by ``scale_ua`` and by the nominal scale."""
+    result keeps the limits of current and charge with ``scale_ua`` and with the nominal scale."""
     most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
     # Without 1e-9, a rounding error could reduce a limit of exactly n steps to n - 1 steps.
     most = np.floor(most_ua / (counts * max(scale_ua, NOMINAL_UA[kind])) + 1e-9)[electrode]

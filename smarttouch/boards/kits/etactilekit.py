@@ -39,14 +39,14 @@ VOLTS_PER_COUNT = 0.0893
 DUMMY_KOHM = 66.0  # load in parallel with the skin; the load carries V / 66 kΩ
 COMPLIANCE_V = 300.0  # voltage limit of the switches (HV513), so no reading is larger
 LONGEST_LOAD = 0.97  # largest share of a period that a scan may take
-OPEN_SHARE = 0.95  # share of the voltage without a finger; no finger is there if all slots reach it
+OPEN_SHARE = 0.95  # the finger is lifted if all slots reach this share of the no-finger voltage
 
 LOW, HIGH = 4, 12  # a reading below 4 (0.3 V) means no pulse; 12 (1 V) or more means a pulse
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
 WIDE_NS = 1_000_000  # if the start of a scan is more uncertain than this, a query locates the scan
 KEEP_NS = 100_000_000  # longest pause between queries: the newest firmware stops after 500 ms
 TOLERANCE = 200e-6  # largest relative difference of two clocks, each within 100 ppm
-WIDEST = 0.25  # share of the period; a scan start that is more uncertain counts as unknown
+WIDEST = 0.25  # largest uncertainty of a known scan start, relative to the period
 
 
 class ScanLock:
@@ -97,7 +97,7 @@ class ScanLock:
         )
 
     def learn(self, bracket: Span) -> None:
-        """Use a bracket to narrow the bounds, unless several scans may have started in it."""
+        """Narrow the bounds by a bracket, unless several scans may have started in the bracket."""
         if self.last is None:
             if bracket.late - bracket.early <= WIDEST * self.period_ns:
                 self.last = bracket
@@ -186,7 +186,7 @@ class ETactileKitDriver(Driver):
         self._before: tuple[int, Readings] | None = None
         self._answer_ns = 0  # shortest time from a recent query to its answer
         self._stopped_ns = self._free_ns = 0
-        self._seen_ua = 10**6  # smallest current of a pattern that changed readings
+        self._seen_ua = 10**6  # smallest current that has changed readings so far
 
     # -- opening and closing -----------------------------------------------
 
@@ -380,7 +380,7 @@ class ETactileKitDriver(Driver):
             return None
         span, now = answer
         self._before = span.early, now
-        # If a query arrives during a scan, its answer comes late: keep the shortest time.
+        # Answers to queries during a scan are delayed: keep the shortest answer time.
         took_ns = span.late - span.early
         self._answer_ns = min(took_ns, self._answer_ns * 9 // 8 or took_ns)
         if before is None or settings is None:
@@ -388,7 +388,7 @@ class ETactileKitDriver(Driver):
         asked_ns, then = before
         rises, falls = (then < LOW) & (now >= HIGH), (then >= HIGH) & (now < LOW)
         if (rises | falls).any():
-            # smallest duration of a slot: no pulse, and a discharge `SHORTEST_US` below its setting
+            # Assume the shortest slot: no pulse, and a discharge `SHORTEST_US` shorter than set.
             rest_us = max(0, settings.discharge_us - wire.SHORTEST_US)
             if self._firmware == "71adee2":
                 # This firmware answers no query during a scan, so the complete scan has passed.
@@ -448,7 +448,7 @@ class ETactileKitDriver(Driver):
                         self._look(shown, self._before[1])
 
     def _look(self, shown: ShownPattern, readings: Readings) -> None:
-        """When readings first show the pulses, set ``since`` to the start of their scan."""
+        """When readings first show the pulses, set ``since`` to the start of the pulsing scan."""
         scan = self._lock.last
         if not shown.is_seen and shown.pulsed(readings).any():
             shown.is_seen = True
@@ -480,7 +480,7 @@ class ETactileKitDriver(Driver):
             if pulsed.any():
                 least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
             elif level_ua >= self._seen_ua and (readings < LOW).all():
-                # Weaker pulses changed readings, but these did not: no scan took place.
+                # Earlier, weaker pulses changed the readings. These did not, so no scan took place.
                 self._lock.last, least = None, 0
             if least:
                 volts, lifted = (readings * VOLTS_PER_COUNT).astype(np.float32), None

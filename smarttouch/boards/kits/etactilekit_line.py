@@ -103,8 +103,8 @@ def zero_anywhere(outputs: int) -> bytes:
     """Return the bytes that set a board to zero in any state of its parser.
 
     They stop sense pulses and all other pulses, and load zeros. They begin with zeros, which
-    complete an incomplete command with a smaller number. There are more zeros than necessary,
-    because some may be lost.
+    complete an incomplete command and can only make its number smaller. There are more zeros than
+    necessary, because some may be lost.
     """
     return bytes(2 * outputs + 4) + NO_SENSE + b"\xfb\x02\x02\x02\xfe" + bytes(2 * outputs)
 
@@ -129,8 +129,8 @@ class ETactileKitLine:
     """Dialogues with an eTactileKit.
 
     Without a host the board repeats its last pattern, so the watchdog is armed before any command
-    that can cause current. ``lock`` is held during a dialogue, so that zero does not come between a
-    command and its answer.
+    that can cause current. ``lock`` is held during a dialogue, so that no zero command comes
+    between a query and its answer.
     """
 
     watched: "WatchedPort"  # the port, once it is open
@@ -145,12 +145,12 @@ class ETactileKitLine:
 
     def connect(self, name: str) -> int:
         """Open the port, set a board with any firmware to zero, and return its number of outputs.
-        After a lost connection, a wrong device receives only a query."""
+        After a lost connection, another device at the port receives at most a query."""
         line = self.line
         if not HAS_POSIX:
             raise BoardError(
                 "this board repeats its last pattern if its program hangs, and the watchdog "
-                "that sets it to zero needs Linux or macOS: use simulated: here"
+                "that sets it to zero needs Linux or macOS: use simulated: on this computer"
             )
         line.connect(name, self._watch)
         if line.reopened:
@@ -174,8 +174,8 @@ class ETactileKitLine:
     def _answers(
         self, query: bytes, *attempts: tuple[bytes, float], then: tuple[bytes, ...] = ()
     ) -> Iterator[bytes]:
-        """Yield the first byte of the answer to a query, for each attempt. An attempt sends bytes
-        and pauses, to resynchronize the parser; the commands ``then`` and the query follow."""
+        """For each attempt, send its bytes and pause, to resynchronize the parser. Then send the
+        commands ``then`` and the query, and yield the first byte of the answer."""
         for data, pause_s in attempts:
             self.line.write(data)
             self.line.pause(pause_s)
@@ -227,8 +227,8 @@ class ETactileKitLine:
             received += self.line.read(1, MORE_S)
         if received != self._chips:
             raise OtherDeviceError(
-                f"the device at {self.line.name} does not answer like the lost board: only "
-                "this query was sent"
+                f"the device at {self.line.name} is not the lost board, and only a query was sent "
+                "to it: connect the lost board again"
             )
 
     # -- queries -------------------------------------------------------------
@@ -236,9 +236,9 @@ class ETactileKitLine:
     def exchange(
         self, body: bytes, *, ask: bool = False, drives: ProvedSequence | None = None
     ) -> tuple[Span, Readings] | None:
-        """Send commands, which may start the sequence ``drives``, and wait for their execution.
-        Return the earliest and latest time of execution, and with ``ask`` the readings before that,
-        (N,), in the order of outputs. After a wrong answer, resynchronize and return None."""
+        """Send commands and wait for their execution; ``drives`` is the sequence that they start.
+        Return the time of execution, and the readings before it, (N,), in the order of outputs;
+        without ``ask``, no readings. After a wrong answer, resynchronize and return None."""
         expected, begun_ns = 2 * self.outputs * ask + 1, self.line.now_ns()
         answer = self.line.ask(READINGS * ask + body + PING, expected, ECHO_S, drives)
         span = Span(begun_ns, self.line.now_ns())
@@ -267,9 +267,9 @@ class ETactileKitLine:
 BEAT_S = 0.02
 ENDS_WITHIN_S = 1.5  # longest wait until the watchdog has ended; its zero command may take 0.4 s
 BYTES_PER_MS = 92  # transmission on a serial line of 921,600 Bd
-KEPT_MS = 100.0  # after this program ends or hangs, the watchdog starts to write within this time
+KEPT_MS = 100.0  # longest time from the end or hang of this program to the watchdog's first byte
 STALE_NS = int(0.8e9 * watchdog.SILENCE_S)
-"""If the last heartbeat is older than this, this program writes nothing. The watchdog waits longer
+"""Age of the last heartbeat above which this program writes nothing. The watchdog waits longer
 before it sets the board to zero, so this program stops writing first."""
 COMMAND = [sys.executable, "-I", "-S", watchdog.__file__]
 """Command of the watchdog, in isolated mode, so that user settings or packages cannot prevent its
@@ -311,7 +311,7 @@ class WatchedPort:
 
     @property
     def at_zero(self) -> bool:
-        """Whether the watchdog has ended and set the board to zero."""
+        """Whether the watchdog process has set the board to zero and ended."""
         return self._process.poll() in (watchdog.GONE, watchdog.SILENT)
 
     @property
@@ -386,7 +386,7 @@ class WatchedPort:
 
     @prioritized()
     def _beat(self) -> None:
-        # After a pause, send no heartbeat: the watchdog may be writing zero.
+        # After a pause, send no heartbeat: the watchdog may be writing the zero command.
         while not self._closing.wait(BEAT_S) and not self._is_stale():
             try:
                 self._send_beat()

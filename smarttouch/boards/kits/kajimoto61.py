@@ -38,7 +38,7 @@ WIDTH_US, REST_US = 50, 150
 LARGEST = 200
 COUNTS_PER_BYTE = 16
 HURRY = 20  # after a late packet, the next packet may follow 1/20 of a period early
-LEAD_S = 0.003  # a run's first packet is delayed by this time, a reserve for delays of later ones
+LEAD_S = 0.003  # delay added to all packets of a run, a reserve if this computer is slow
 
 
 class Kajimoto61Driver(Driver):

@@ -20,7 +20,7 @@ import signal
 import sys
 import time
 
-SILENCE_S = 0.09  # host timeout; leaves time to wake up and write zero within 0.1 s
+SILENCE_S = 0.09  # host timeout; leaves time to wake up and write the zero command within 0.1 s
 PRIORITY = 2  # real-time priority, above the program's 1, so that a hanging program cannot block it
 STUCK_S = 0.4  # after this time without an accepted byte, the port counts as blocked
 PIECE, PAUSE_S = 8, 0.003  # write the second zero command 8 bytes at a time, with pauses of 3 ms

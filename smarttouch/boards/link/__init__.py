@@ -61,7 +61,7 @@ NOTHING = 0xFFFF  # value of slot or electrode in a NAK, if there is none
 
 
 def digest_of(data: bytes, session: int | None = None) -> bytes:
-    """Return the digest that identifies kernels; with ``session``, the one that proves storage."""
+    """Return the digest that identifies kernels; with ``session``, a digest that proves storage."""
     head = b"" if session is None else session.to_bytes(8, "little")
     return hashlib.sha256(head + data).digest()[:16]
 

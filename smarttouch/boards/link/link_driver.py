@@ -32,10 +32,10 @@ from smarttouch.stimulation.scan_sequence import KernelTable
 
 HEARTBEAT_S = 0.03  # longest time without a packet of the host; the board's timeout is 0.1 s
 SILENCE_S = 0.5  # silence after which a board is lost: in a session, boards send every 20 ms
-LISTENED_S = 0.1  # largest silence counted for one read; if it takes longer, this computer paused
+LISTENED_S = 0.1  # largest silence counted for one read; a longer read means a paused computer
 ANSWER_S = 1.0
 ASKED_AGAIN_S = 0.25  # time after which a query is sent again
-PAUSED_S = 1.0  # a refusal within this time after a pause of this computer is blamed on the pause
+PAUSED_S = 1.0  # time after a pause of this computer in which refusals are blamed on the pause
 LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
 AFTER_ZERO_S = 0.02  # time after a confirmed stop in which no slot may follow: a period at 50 Hz
@@ -248,7 +248,7 @@ class LinkSession:
         return taken
 
     def refuse(self) -> None:
-        """Count a refused packet, except before CAPABILITIES: it may be from an earlier run."""
+        """Count a refused packet. Before CAPABILITIES, ignore it: it may be from an earlier run."""
         self.refused += self.number > HALF
 
     def _accept_offer(self, offer: Message) -> bool:
@@ -268,7 +268,7 @@ class LinkSession:
         board's clock, ``sent_ns`` the time of sending, ``now_ns`` the time of the answer. The
         fastest of the last 16 answers gives the offset of the clocks."""
         if self._ahead_ns and 1000 * board_us + min(self._ahead_ns) < sent_ns:
-            # A start before the sending is impossible: the board's clock has paused.
+            # The start seems to be before the sending, so the board's clock has paused.
             self._ahead_ns.clear()
         self._ahead_ns.append(now_ns - 1000 * board_us)
         return 1000 * board_us + min(self._ahead_ns)
@@ -301,7 +301,7 @@ class LinkDriver(Driver):
         self._number = 0
         self._last_report: BoardReport | None = None  # report after the stop
         self._report: BoardReport  # report at the last opening or reconnection
-        self._first: BoardReport  # report at the last opening or power-on; counts start here
+        self._first: BoardReport  # baseline of counts: report at the last opening or power-on
         self._slots_sent = 0  # slots sent since `_report`; each repetition counts
         self._unsafe_refused = 0  # largest possible number of sequences refused as unsafe
         self._suspicion = ""  # fault in voltages, or ""; the next `idle` stops the board for good
@@ -398,8 +398,8 @@ class LinkDriver(Driver):
     def close(self) -> None:
         session = self._session
         if session.begun:
-            # End the session, because a board in a session refuses the next HELLO. If the board was
-            # stopped, it is not in a session, and this write fails.
+            # End the session, because a board in a session refuses the next HELLO. After a stop
+            # the session has already ended: then ignore the error of this write.
             with contextlib.suppress(BoardError):
                 session.send(MessageKind.STOP)
         session.close()
