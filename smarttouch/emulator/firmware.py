@@ -27,7 +27,7 @@ _FLOWS_UA = 0.5
 
 @dataclass
 class DeliveryLog:
-    """Counters and maxima of delivered pulses, also written to ``folder`` if it is given."""
+    """Counters and maxima of delivered pulses. If ``folder`` is given, write them there, too."""
 
     electrodes: int
     folder: Path | None = None
@@ -157,7 +157,7 @@ class Firmware(ABC):
 
     @property
     def busy(self) -> bool:
-        """Whether the server must call often, because the firmware has actions due soon."""
+        """Whether the server must call `advance` often, because actions are due soon."""
         return False
 
     def wait_s(self, clock: "DeviceClock") -> float:

@@ -144,7 +144,7 @@ class Kajimoto61Firmware(KitFirmware):
             self.books.sequences += 1
 
     def _connect_early(self, scan: _Scan, electrode: int, start_ns: int) -> int:
-        """Deliver the self-test's current, which the converter still holds; return its duration."""
+        """Deliver the self-test's current, which the converter holds; return the duration, ns."""
         self._pulse(
             scan.number, electrode, -self._loaded_ua, LOADING_US, start_ns, among=ELECTRODES,
             rest_us=0, grounded=False, more=True,

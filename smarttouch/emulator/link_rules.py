@@ -34,14 +34,14 @@ MAX_RECHARGE_UA = 500
 the board does not know the detection thresholds."""
 MAX_RECHARGE_US = 20_000
 MAX_RECHARGE_PC = 2_000_000
-STRENGTH = 4  # largest ratio of the strength to ``share``, both as in `SessionLimits.strength`
+STRENGTH = 4  # largest ratio of strength to ``share``; see `SessionLimits.strength` for both
 BUCKET_US = 50_000
-BUCKETS = 20  # number of buckets before the current one that belong to the last second
+BUCKETS = 20  # number of buckets in the last second, in addition to the current bucket
 SECOND_US = 1_000_000
 MOST_CHARGE_PC = 500_000_000
 MOST_NET_PC = 50_000_000
 RAMP_MS = 500  # shortest time from zero to full intensity
-CATCH_UP_US = 150_000  # largest lead of a sequence over the ramp, because packets can be late
+CATCH_UP_US = 150_000  # time by which a sequence may be ahead of the ramp: packets can be late
 KEPT_US = 15_000_000  # time without current after which the ramp restarts
 _LEEWAY = 2  # tolerance for the rounding of an intensity, in units of 1/65,535
 
@@ -133,9 +133,9 @@ class SessionLimits:
         )  # fmt: skip
 
     def strength(self, intensity: int, peak_pc: int) -> int:
-        """Return a sequence's strength, at most `FULL`, which the ramp limits. The strength is the
-        intensity, but at least ``share`` and at most `STRENGTH` times ``share``. ``share`` is
-        ``peak_pc`` relative to the charge of a full pulse."""
+        """Return the strength of a sequence, which the ramp limits. The strength is the intensity,
+        but at least ``share``, at most `STRENGTH` times ``share``, and at most `FULL`. ``share``
+        is ``peak_pc`` relative to the charge of a full pulse."""
         share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
         return min(FULL, max(share, min(intensity, STRENGTH * share)))
 
@@ -248,7 +248,7 @@ class Ramp:
         self.restart(ramp_ms)
 
     def restart(self, ramp_ms: int) -> None:
-        """Restart at zero intensity. The constructor's ``ramp_ms`` stays the shortest ramp time."""
+        """Restart at zero intensity. The ramp time of the constructor is used if it is longer."""
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
         self._level = self._strength = self._since_us = self._span_us = 0
 

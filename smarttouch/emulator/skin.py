@@ -66,10 +66,10 @@ class Delivered:
 
 
 class _Steps(NamedTuple):
-    """K time steps in which a pulse is computed. Arrays are (K,) or (K, E). The current I of an
-    electrode is constant during a step. The step changes the voltage of the electrode's capacitor
-    from v to v·decay + I·rise_ohm. I is computed for one point of the step, where the electrode has
-    the voltage v·late + I/admittance. The last step, of length 0, gives I at the pulse's end."""
+    """K time steps into which a pulse is divided. Arrays are (K,) or (K, E). The current I of an
+    electrode is constant during a step, and changes the voltage of the electrode's capacitor from v
+    to v·decay + I·rise_ohm. I is solved at one instant of the step, at which the electrode has the
+    voltage v·late + I/admittance. A last step of length 0 gives I at the end of the pulse."""
 
     length_s: NDArray[np.float64]
     decay: NDArray[np.float64]
@@ -250,8 +250,8 @@ def _balance(current: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 FORCE_N = 1.0  # default force: enough for the pressure gate to allow full intensity
-OPEN_FACTOR = 5e5  # factor of the impedance if an electrode is open, which raises it to about 1 GΩ
-SHORT_FACTOR = 1e-4  # factor of the impedance if an electrode is shorted: a few ohm remain
+OPEN_FACTOR = 5e5  # factor that raises the impedance of an open electrode to about 1 GΩ
+SHORT_FACTOR = 1e-4  # factor that lowers the impedance of a shorted electrode to a few ohm
 
 FORMS = {
     "lift": "", "touch": "", "force": "NEWTON",
