@@ -187,7 +187,7 @@ class CameraDevice(ImageDevice):
 
     @staticmethod
     def _taken_ns(capture: cv2.VideoCapture) -> int:
-        """Return the driver's time stamp if it is plausible on our clock, else the current time."""
+        """Return the driver's time stamp, or the current time if the stamp is not plausible."""
         now_ns = time.perf_counter_ns()
         taken_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
         return taken_ns if 0 <= now_ns - taken_ns <= _BELIEVED_AGE_NS else now_ns

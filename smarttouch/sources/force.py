@@ -85,7 +85,7 @@ class FixedForce(ForceSource):
 
 FRESH_S = 0.35  # age up to which a reading is valid: load cells send at least ten a second
 FROZEN_READINGS = 20
-FROZEN_S = 2.0  # equal readings for this time mean a fault: working converters are noisy
+FROZEN_S = 2.0  # duration of equal readings that counts as a fault: working converters are noisy
 SATURATED = (float(-(2**23)), float(2**23 - 1))
 """Lowest and highest reading of an HX711: its load cell is overloaded or not connected."""
 

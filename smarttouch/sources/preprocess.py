@@ -143,7 +143,7 @@ def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
 MOST_PIXELS = 64
 """Longest side of the images that `Matcher` compares: more pixels add little accuracy."""
 FINER = 2
-"""Factor by which `Matcher` enlarges images if their sides are then at most `MOST_PIXELS`. Without
+"""Factor by which `Matcher` enlarges images, unless a side would exceed `MOST_PIXELS`. Without
 this enlargement, sensors of 16 x 16 pixels lose 80 % of the accuracy."""
 LEAST_SLOPE = 6.0
 """Mean squared gradient, (levels/pixel)², below which a direction has no visible print: noise of 2
@@ -185,8 +185,8 @@ class Matcher:
         self._last_shift: Shift = (0.0, 0.0)  # probable next shift, because fingers move steadily
 
     def match(self, image: NDArray[np.uint8], first: bool) -> Shift:
-        """Return the shift of the content from the last image to this one, or zeros if the shift is
-        unknown or the image is the ``first``."""
+        """Return the shift of the content from the last image to this one. Return zeros if the
+        shift is unknown or this is the ``first`` image."""
         if image.shape != self.shape:
             size = self.shape[::-1]
             image = np.asarray(cv2.resize(image, size, interpolation=self._method), np.uint8)
@@ -299,7 +299,7 @@ def _largest_covariance(before: Image, now: Image) -> Shift:
 
 
 def page_per_pixel(optics: Optics, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the matrix from a shift in pixels to a motion on the page in mm, (2, 2).
+    """Return the matrix, (2, 2), that converts a shift in pixels to a motion on the page in mm.
 
     ``shape`` is the shape of the image. A homography is linearized at the middle of the image.
     """

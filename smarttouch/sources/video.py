@@ -33,7 +33,7 @@ SUFFIXES = (
 _FEWEST_PIXELS = 2
 _MOST_PIXELS = 80_000_000
 MOST_DECODED = 8  # smallest delay, in images, at which an image is skipped without decoding
-_MISSING = 0.05  # accepted share of missing frames: files state their number inexactly
+_MISSING = 0.05  # largest accepted share of missing frames, because files state counts inexactly
 _TEXT = cv2.VideoWriter.fourcc(*"ansi")
 # Suppress messages of FFmpeg, which reads this variable when the process opens its first video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
