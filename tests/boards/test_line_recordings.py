@@ -120,7 +120,7 @@ def test_a_file_that_exists_and_a_board_without_a_port_are_refused(tmp_path):
     with raises(BoardError, names=("board must have a port",)):
         make_board(f"simulated:?record={tmp_path / 'new'}", limits)
     assert path.read_text() == "mine"
-    with raises(BoardError, names=("not the recording",)), replayed(path):
+    with raises(BoardError, names=("not a recorded device",)), replayed(path):
         pass
 
 
