@@ -138,7 +138,7 @@ class _Process:
         for board in boards:
             threading.Thread(target=bring_to_zero, args=(board,), daemon=True).start()
         deadline_s = time.monotonic() + ZERO_WITHIN_S
-        # Wait until each board has confirmed zero in its thread, or was closed by its run.
+        # Wait until each board is at zero: a thread above has stopped it, or its run closed it.
         while self.boards and time.monotonic() < deadline_s:
             time.sleep(0.002)
         # A board that has not confirmed zero stays in the run registry until it is closed.

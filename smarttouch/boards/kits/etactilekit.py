@@ -448,7 +448,7 @@ class ETactileKitDriver(Driver):
                         self._look(shown, self._before[1])
 
     def _look(self, shown: ShownPattern, readings: Readings) -> None:
-        """When readings first show the pulses, set ``since`` to the start of the pulsing scan."""
+        """When readings first show pulses, set ``since`` to the start of the scan with them."""
         scan = self._lock.last
         if not shown.is_seen and shown.pulsed(readings).any():
             shown.is_seen = True

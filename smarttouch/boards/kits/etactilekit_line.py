@@ -150,7 +150,7 @@ class ETactileKitLine:
         if not HAS_POSIX:
             raise BoardError(
                 "this board repeats its last pattern if its program hangs, and the watchdog "
-                "that sets it to zero needs Linux or macOS: use simulated: on this computer"
+                "that sets it to zero needs Linux or macOS: on this computer, use simulated:"
             )
         line.connect(name, self._watch)
         if line.reopened:
