@@ -120,8 +120,8 @@ class _Process:
     def end(self, reason: str, *, for_good: bool = True) -> bool:
         """Set all boards to zero and ask all runs to end; return whether all boards have confirmed
         zero. With ``for_good``, no board can be opened afterwards."""
-        # Do not take the lock: a thread that waits for the disk may hold it. A board that
-        # another thread registers meanwhile is in `boards`, or its `announce` fails: both are safe.
+        # Do not take the lock: a thread that waits for the disk may hold it. If another thread
+        # registers a board meanwhile, either `boards` contains it or, for good, `announce` fails.
         if for_good:
             self.reason = self.reason or reason
         boards, entry = [*self.boards], self.entry

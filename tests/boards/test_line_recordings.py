@@ -19,6 +19,8 @@ from ..support.processes import PROGRAM, Forked
 from .fresh import deliver
 from .test_kajimoto61 import anodic
 
+pytestmark = pytest.mark.realtime
+
 PROFILES = {"kajimoto61": "kajimoto-61", "etactilekit": "etactilekit-32", "link": "electric-mouse"}
 
 
