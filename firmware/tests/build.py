@@ -141,9 +141,9 @@ class Machine:
 
 
 class CortexM3(Machine):
-    """Cortex-M3 that hangs after ``stands_after`` pulses, if given, and then has a watchdog timer.
-    If ``counts``, its clock counts instructions of 8 ns: then a busy computer delays no slot, but
-    the port is slower.
+    """Cortex-M3. If ``stands_after`` is given, the processor hangs in the pulse of this number, and
+    a watchdog timer resets it. With ``counts``, its clock counts instructions of 8 ns. A busy
+    computer then delays no slot, but the port is slower.
     """
 
     def __init__(

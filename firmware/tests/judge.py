@@ -1,7 +1,7 @@
 """Model of what a ``link`` board must refuse, written only from ``firmware/PROTOCOL.md``.
 
-The model keeps single passes, and uses buckets of time only to decide how long a pass counts. The
-C core and the Python emulator keep sums instead.
+The model stores every pass. Buckets of time decide only how long a pass counts. The C core and
+the Python emulator store sums instead.
 """
 
 import struct
@@ -56,7 +56,7 @@ class Limits:
         return head + b"".join(struct.pack(f"<{len(of)}{kind}", *of) for kind, of in each)
 
     def capped(self, switched=False):
-        """Return the limits that the board applies: the stricter of these and its own."""
+        """Return the limits that apply: the board's own limits replace these where stricter."""
         return Limits(
             max(5000, self.period_us), min(5000 if switched else 10_000, self.total_ua),
             min(200, self.width_us), min(5000, self.full_ua),
@@ -70,7 +70,7 @@ class Limits:
 
 @dataclass
 class Scan:
-    """Sequence; each slot has width, discharge and currents, or, for one source, states."""
+    """Sequence. Slots have width, discharge and currents; for one source, states of electrodes."""
 
     period_us: int
     slots: list
@@ -102,7 +102,7 @@ class Scan:
         return b"".join(parts)
 
     def nominal(self):
-        """Return the currents of the slots, (S, E) µA; of a source, equal shares, rounded up."""
+        """Return the currents of slots, (S, E) µA. One source is divided equally, rounded up."""
         if not self.slots:
             return np.zeros((0, 1), np.int64)
         rows = np.array([each for _, _, each in self.slots], np.int64)
@@ -121,7 +121,7 @@ class Scan:
 class _Pass:
     start_us: int
     over_us: int
-    """End of its last slot or recharge phase."""
+    """Time at which the last slot or the recharge phase ends."""
     end_us: int
     felt: np.ndarray
     charge_pc: np.ndarray
@@ -131,7 +131,7 @@ class _Pass:
 
 @dataclass
 class _Rise:
-    """State of the ramp: the level, and strength, start and duration of the current since then."""
+    """Ramp: its level, and the strength, start and duration of the current that raises it."""
 
     ramp_us: int
     level: int = 0
@@ -140,7 +140,7 @@ class _Rise:
     span_us: int = 0
 
     def risen(self, start_us):
-        """Return the level at ``start_us``, and the time with current before it, µs."""
+        """Return the level at ``start_us``, and how long current has flowed until then, µs."""
         on_us = min(max(0, start_us - self.since_us), self.span_us)
         if start_us - self.since_us - on_us > 15_000_000:
             return 0, on_us
@@ -224,7 +224,7 @@ class Judge:
         """Accept a scan, which begins now or when the executing one is over."""
         start_us = self.start_us(now_us, scan)
         if scan.goes_on:
-            # The part before ends when this one begins; the period belongs to the whole scan.
+            # The part before ends here. The scan lasts until the end of its period.
             self.scan_end_us = self.passes[-1].end_us
             if self.scan_end_us > now_us:
                 self.passes[-1] = replace(self.passes[-1], end_us=start_us)

@@ -27,7 +27,7 @@ class Life:
     def begin(self, limits=None):
         """Begin a session with the limits given, or with random ones, some of which are strict."""
         if hasattr(self, "limits"):
-            # End the live session: in a live session, a board refuses the HELLO of the next one.
+            # End the live session first, because during a session a board refuses HELLO.
             self.judge.stop(self.talk.now_us)
             self.talk.say(MessageKind.STOP)
             self._note()
@@ -145,7 +145,7 @@ class Life:
         return scan
 
     def _recharge(self, scan):
-        """Add a recharge phase that removes half or all of the charge, too much, or adds charge."""
+        """Add a recharge phase of 0.5, 1 or 2.1 times the net charge, or with the wrong sign."""
         carried = self.judge.net_pc + self.judge._pass(scan, 0).net_pc
         scan.recharge_us = int(self.rng.integers(1, scan.period_us))
         back = -int(carried[0]) / scan.recharge_us * float(self.rng.choice([0.5, 1, 2.1, -1]))
@@ -153,7 +153,7 @@ class Life:
         scan.recharge_ua = (back, -back, 0, 0)
 
     def play(self, scans):
-        """Send random scans until ``scans`` are decided; many lie at the edge of a rule."""
+        """Send at least ``scans`` random scans, many of them at the edge of a rule."""
         while self.decided.total() < scans:
             if self.number == 0 or self.rng.random() < 0.03:
                 self.begin()
@@ -172,7 +172,7 @@ class Life:
         return self
 
     def _edge(self, scan):
-        """Vary one quantity of a scan: send the least refused value, then the last accepted one."""
+        """Vary one quantity of a scan; send the first refused value, then the last accepted one."""
         self.wait(max(0, self.free_us - self.talk.now_us))
         what = self.rng.choice(["times", "louder", "intensity", "period"])
 
@@ -237,7 +237,7 @@ def net(life):
 
 
 def felt(life):
-    """Send as many pulses as a period allows, 25 times a second: more than a second allows."""
+    """Send more felt pulses than allowed in a period, and more than allowed in a second."""
     life.begin(Limits(felt_ua=(0,) * ELECTRODES, session_s=9))
     pair = [(20, 20, (30, -30, 0, 0)), (20, 20, (-30, 30, 0, 0))]
     for slots in (61, 60, 60):
@@ -251,7 +251,7 @@ def felt(life):
 
 
 def charge(life):
-    """Send as much charge of either sign as each period allows: more than a second allows."""
+    """Send more charge than allowed in a second, in periods that each keep their limits."""
     life.begin(Limits(felt_ua=(5000,) * ELECTRODES))
     pair = [(200, 40, (2500, -2500, 0, 0)), (200, 40, (-2500, 2500, 0, 0))]
     for _ in range(40):
@@ -294,7 +294,7 @@ def rise(life):
         # A scan without slots at intensity 0 does not lower the level.
         life.send(Scan(20_000, [], 1, 0))
         life.wait(20_000)
-    # Strong pulses, after weak ones whose stated intensity was up to full.
+    # Weak pulses that state a high intensity, followed by strong pulses.
     for intensity in (1000, FULL // 2, FULL):
         life.begin(Limits())
         life.send(Scan(500_000, _counting(FULL, 0.05), 1, intensity))
@@ -307,7 +307,7 @@ def rise(life):
 
 
 def _counting(intensity, of):
-    """Return the weakest pulse that counts as an intensity, scaled by ``of``; none for None."""
+    """Return a slot with ``of`` times the least current for an intensity; if None, no slot."""
     if of is None:
         return []
     level = min(1250, int(of * -(-1250 * intensity // FULL)))

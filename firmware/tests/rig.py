@@ -62,7 +62,7 @@ class Core:
         self._core.st_rig_free(self._rig)
 
     def wear(self, skin):
-        """Attach a skin, a function of width, rest, source current, start and currents of a pulse.
+        """Attach a skin: a function of a pulse's width, rest, source current, start and currents.
 
         The function returns the source voltage, 10 mV, and the largest charge left, pC.
         """
@@ -146,7 +146,7 @@ def in_10_mv(volts):
 
 
 class PulseBooks(DeliveryLog):
-    """Delivery log that keeps each pulse as `Core` reports it, and charge left only if ``worn``."""
+    """Delivery log that stores pulses as `Core` reports them. Unless ``worn``, charge left is 0."""
 
     worn = False
 
@@ -196,8 +196,8 @@ class Emulated:
 class Both:
     """Boards that get the same bytes, and must answer and deliver the same.
 
-    If not ``felt``, the currents of pulses may differ. The emulator reports a recharge phase at its
-    end, the core at its beginning: `recharges` lists number, start and currents for each board.
+    Without ``felt``, currents of pulses may differ. The emulator reports a recharge phase at its
+    end, the core at its start. So `recharges` lists phases by board: number, start and currents.
     """
 
     def __init__(self, *boards, felt=True):

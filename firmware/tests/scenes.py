@@ -38,10 +38,10 @@ def sequence_of(lists, **other):
 
 
 class Scene:
-    """Random history of a board, whose hosts come and go, and sometimes break a rule.
+    """Random history of a board: hosts come and go, and sometimes break a rule.
 
-    If ``worn``, boards have the same skin model, and hosts request voltages. Then hosts send no
-    recharge phases, because emulator and core report those at different times.
+    With ``worn``, emulator and core have the same skin model, and hosts request voltages. Hosts
+    then send no recharge phases, because emulator and core report these at different times.
     """
 
     def __init__(self, board, seed, electrodes=6, output="weighted", ramp_ms=0, worn=False):

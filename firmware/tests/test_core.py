@@ -47,16 +47,16 @@ def test_answers_and_pulses_are_the_emulators(make_core, output, seed):
     driven_pc = core.driven_pc()
     assert max(map(abs, driven_pc)) > 1000
     if output == "weighted":
-        # This includes recharge phases that were cut short.
+        # The charge includes recharge phases that were cut short.
         np.testing.assert_allclose(driven_pc, emulated.driven_pc(), atol=0.5)
 
 
 @pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
 def test_voltages_and_charge_are_the_emulators(make_core, output):
-    """With the same skin model, VOLTAGES and the charge left in REPORT are equal."""
+    """With the same skin model, core and emulator report equal voltages and equal charge left."""
     core = make_core(6, output, 0).wear(Worn(6, output != "weighted"))
     boards = Emulated(6, output, 0, worn=True), core
-    # A switched board reports equal shares of its current, but on the skin impedances divide it.
+    # Pulse currents of switched boards differ: the core reports equal shares of the source.
     both = Both(*boards, felt=output == "weighted")
     scene = Scene(both, 3, output=output, worn=True)
     scene.play(60)
@@ -67,7 +67,7 @@ def test_voltages_and_charge_are_the_emulators(make_core, output):
 
 
 def test_no_table_passes_for_another(make_core):
-    """A proof holds for one table in one session. A table with another's identity is refused."""
+    """A proof holds for one table in one session. A table with a false identity is refused."""
     rng = np.random.default_rng(0)
     image, other = (KernelImage.of(random_table(rng, 4, 6), 1 << 20, 9) for _ in range(2))
     talk = Talk(Both(Emulated(6), make_core(6)))

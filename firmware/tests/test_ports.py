@@ -107,10 +107,10 @@ def test_rests_on_a_cortex_m3(shift):
     refused = re.findall(r"^refused" + r" (\d+)" * 6 + "$", said, re.M)
     assert len(rests) + len(refused) == 15
     assert [each for each in rests if each[4] < each[2] or each[3] != 32] == []
-    # A refusal is by rule 27, and never for the first slot, which follows no other.
+    # Only rule 27 refuses slots. It needs a previous slot, so it never refuses the first one.
     assert [each for each in refused if int(each[3]) != 27 or not 0 < int(each[4]) < 32] == []
     assert len(rests) >= (15 if shift < 4 else 5)
-    # 32 slots, each at most 150 µs longer than requested, and 6 ms to begin the pass.
+    # Each of the 32 slots may take 150 µs more than requested, and the start of the pass 6 ms.
     assert [each for each in rests if each[5] > 32 * (250 + each[2]) + 6000] == []
 
 

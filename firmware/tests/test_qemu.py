@@ -57,7 +57,7 @@ def test_noise_is_nothing_and_silence_is_zero_within_100_ms(start_cortex_m3):
     same = told["number"][1:] == told["number"][:-1]
     start_us = told["start_us"].astype(np.int64)
     assert (np.diff(start_us)[same] >= 150).all()
-    # The first slot begins when the sequence arrives, which is the host's last message.
+    # This sequence is the host's last message, so all pulses begin within the host timeout.
     assert np.ptp(start_us) <= 100_000
 
 
@@ -201,7 +201,7 @@ class F405(Machine):
         )  # fmt: skip
 
     def until_zero(self, least_us=0):
-        """Wait for zero at least ``least_us`` after the last packet; return the model."""
+        """Wait for a zero that is at least ``least_us`` after the last packet; return the model."""
         for _ in range(600):
             model = self.registers()
             pulses, silent_us = model.zeros[-1] if model.zeros else (0, 0)
