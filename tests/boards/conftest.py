@@ -237,8 +237,8 @@ class Hosted:
     def __init__(self, kind, start_emulator, start_firmware, start_cortex_m3, folder, monkeypatch):
         monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
-        # A kind can end with the firmware: a version for an eTactileKit; for a link board, C (on
-        # this machine) or M3 (on a Cortex-M3).
+        # A firmware can follow the kind: in "etactilekit newest" it is a version. "link C" runs the
+        # C firmware on this machine, "link M3" on a Cortex-M3.
         kind, _, firmware = kind.partition(" ")
         if firmware == "C":
             _, port = start_firmware(f"--books={folder}", "--ramp-ms=0")
@@ -258,7 +258,7 @@ class Hosted:
         self.step = 0
 
     def send(self, times=1, level_ua=1000):
-        """Send a sequence with a new level, or with none after opening or a lost connection.
+        """Send a sequence. Its current is new, or zero for the first after opening or a restart.
 
         A sequence that this computer sent too late is sent again.
         """

@@ -18,7 +18,7 @@ from ..support.runs import HANGS_S, until
 __all__ = ["HANGS_S", "until"]
 
 ENDED_S = 1.0
-"""Time without a new state file after which an emulator has ended."""
+"""An emulator counts as ended if it writes no new state file for this time."""
 
 
 def deliver(board, *sequences, times=1):
@@ -125,7 +125,7 @@ def in_child(work):
 
 
 def until_zero(board, seconds=PATIENCE_S):
-    """Return a function that opens a board and waits for zero: exit code 7, or 98 without zero."""
+    """Return a function that opens a board, and returns 7 once it is at zero, else 98."""
 
     def work(say):
         with board:

@@ -19,7 +19,7 @@ US, MS = 1000, 1_000_000
 
 
 class ManualClock:
-    """Simulated clock, which only waits advance; each ends a little late, as on a real computer."""
+    """Simulated clock. Only waits advance it, and each wait ends a little late."""
 
     def __init__(self, seed=1, late_us=200):
         self.time_ns = 0
@@ -39,7 +39,7 @@ class ManualClock:
 
 
 class ManualPort:
-    """Simulated port of an emulated firmware; bytes take 100 µs plus ``wire_us`` on average.
+    """Simulated port of an emulated firmware. Bytes arrive 100 µs plus about ``wire_us`` later.
 
     The board's clock shows (host time + ``phase_ns``) * (1 + ``drift``).
     """
@@ -102,7 +102,7 @@ class ManualPort:
 
 @dataclass
 class ScanBooks(DeliveryLog):
-    """Delivery log that also keeps the height in counts of each pulsed electrode, for each scan."""
+    """Delivery log that also stores the height of each pulse, in counts, by scan and electrode."""
 
     scans: dict = field(default_factory=dict)
 
@@ -143,7 +143,7 @@ class ManualKit:
             self.host.capabilities = self.driver.open(self.line, limits)
 
     def run(self, jobs):
-        """Write jobs (host time in ns, sequence, times), then zero; return the host's report."""
+        """Write all jobs (host time in ns, sequence, repetitions), then zero; return the report."""
         for number, (time_ns, sequence, times) in enumerate(jobs, 1):
             self.clock.time_ns = max(self.clock.time_ns, time_ns)
             # `write` returns once the driver accepts another sequence, so the next one is due now.
@@ -159,5 +159,5 @@ class ManualKit:
         assert scan.early - 1000 <= began_ns <= scan.late + 1000
 
     def scans(self):
-        """Return a set of (electrode, height in counts) for each scan with pulses, in order."""
+        """Return a set of (electrode, height of its pulse in counts) for each scan with pulses."""
         return [frozenset(each.items()) for _, each in sorted(self.books.scans.items())]

@@ -228,7 +228,7 @@ def test_halting_ends_the_start_of_an_emulator(monkeypatch, tmp_path):
 
 
 def test_an_emulator_ends_with_its_board():
-    """The emulator starts with the driver, so that a board that is never opened has one, too."""
+    """An emulator starts with its driver. It ends even if the board is never opened."""
     unopened = make_board("emulator:", KIT_LIMITS)
     process = unopened.driver.process._process
     assert process.poll() is None

@@ -41,7 +41,7 @@ def decoded(written, firmware, extra_us=0):
     def pulse(
         number, electrode, current_ua, width_us, start_ns, *, among, rest_us, more=False, **_
     ):
-        # Without skin, all others share the return current. ``more`` marks the self-test's current.
+        # Without skin, the other electrodes share the return current. Skip self-tests (``more``).
         current = [-current_ua / (among - 1)] * among
         current[electrode] = current_ua
         if current_ua and not more:
@@ -78,8 +78,8 @@ DIFFERS = {
 
 
 def without_repeating(kind):
-    """Decorate the contract of a variant of another board: without ``pytest --full``, run only the
-    tests in `DIFFERS` and those of the class itself."""
+    """Decorate the tests of a board that is a variant of another. Without ``pytest --full``, run
+    only the tests in `DIFFERS` and those that the decorated class defines."""
     for name in dir(kind):
         if name.startswith("test_") and name not in {*DIFFERS, *vars(kind)} and not WHOLE:
             setattr(kind, name, None)
@@ -254,12 +254,12 @@ class TestSimulated(TestMemory):
         ]
 
     def _start(self, board):
-        # Simulated time passes within `send`, so that more repetitions would only take longer.
+        # `send` simulates all repetitions before it returns, so a few are enough.
         board.send(self.sequence(0))
         board.send(self.sequence(1), times=20)
 
     def assert_silent(self):
-        # Allow the 80 slots of a repetition, or all probe scans of a measurement.
+        # At most the 80 slots of `_start`, or all slots of a measurement, may be delivered.
         in_pairs = self.output.kind == "weighted"
         probes = probe_sequences(self.driver._limits, self.output, in_pairs=in_pairs)
         books = self.driver._firmware.books
@@ -306,7 +306,7 @@ class TestCortexM3(TestFirmware):
     instants = 2
 
     def pulses(self):
-        """Return pulses without discharge times, which are longer than planned under QEMU."""
+        """Return pulses without discharge times: these are longer than planned under QEMU."""
         return [replace(pulse, discharge_us=None) for pulse in super().pulses()]
 
 

@@ -81,7 +81,7 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, named, phase_us, d
 @FIRMWARES
 @pytest.mark.parametrize("width_us", [100, 200])
 def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_us):
-    """A scan of 48 electrodes takes 39 % or 64 % of the period."""
+    """The scan of 48 electrodes takes 39 % of the period, or 64 % with pulses of 200 µs."""
     limits = SafetyLimits(48, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
     kit = ManualKit(monkeypatch, limits, firmware, phase_ns=3 * MS, drift=70e-6)
     rng, start = random.Random(1), kit.clock.time_ns

@@ -1,5 +1,5 @@
-"""The exact bytes for an eTactileKit, when it is opened, for patterns and for zero in any state;
-and the estimate of its scan times (`ScanLock`)."""
+"""The exact bytes that the driver of an eTactileKit writes: on opening, for patterns, and for zero
+in any state. And the driver's estimate of scan times (`ScanLock`)."""
 
 import contextlib
 import random
@@ -46,12 +46,12 @@ OLD = {
     "v1.0": (1, "FC08 FB19 FA64 F732 F632 FE 0101010101010101"),
     "936c6c0": (2, "FC08 FB6400 FA6400 F732 F63200 FE 0101010101010101"),
 }
-"""Older firmware: bytes of each height, width and rate, and commands that start all electrodes."""
+"""Older firmware: how many bytes a height, width or rate takes; commands that start pulses."""
 
 
 class OldKit:
-    """Emulated older firmware without F4. It waits forever for the rest of a command, and an FE for
-    zero electrodes blocks its parser for good."""
+    """Emulated older firmware, which lacks the command F4. It waits forever for the rest of a
+    command. A command FE for zero electrodes blocks its parser for good."""
 
     def __init__(self, books, size):
         self.books, self.sizes = books, dict.fromkeys(range(0xF6, 0xFE), 1)
@@ -125,7 +125,7 @@ def meet(monkeypatch):
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("half", HALVES)
 def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, half):
-    """The driver relies on a host timeout of the firmware only if the user has named it."""
+    """The driver relies on a host timeout only if the user has named the firmware."""
     meeting = meet(firmware, named=bool(half))
     meeting.leave(PULSING + SENSE + half)
     pulsed = meeting.books.slots
@@ -137,9 +137,9 @@ def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, hal
     meeting.board.advance(meeting.clock.time_ns + 3_000_000_000)
     assert meeting.books.slots == slots
     assert meeting.books.state == "shorted"
-    # At most the running scan, and one scan of a command that the zeros completed.
+    # Allow the running scan, and one scan if the zero bytes complete a command.
     assert slots - pulsed <= 24
-    # 0x0101 counts, from the incomplete command of the earlier program.
+    # 2.57 mA are 0x0101 counts, the height in the earlier program's incomplete command.
     assert meeting.books.max_current_ma <= 2.57
 
 
@@ -317,7 +317,7 @@ def test_a_lost_byte_never_brings_more_current_than_was_asked_for(data):
             now_ns += 1_000_000
             answer += board.advance(now_ns)
         if answer[-1:] != b"\x04":
-            # Without the answer to PING, the driver resets the parser like this.
+            # The answer to PING is missing, so reset the parser as the driver does.
             board.feed(bytes(514), now_ns)
             board.feed(QUIET + bytes(4) + PING, now_ns)
             break
@@ -332,7 +332,7 @@ COMMANDS = Settings(100, 50, 100, anodic=True).commands(10) + LOAD + HEIGHTS + G
 RUNNING = bytes([0xFC, OUTPUTS]) + COMMANDS
 ZERO = zero_anywhere(OUTPUTS)
 PLACES = [*sample(range(len(ZERO) - 40), 16), *range(len(ZERO) - 40, len(ZERO))]
-"""Positions in ``ZERO``: some of its many leading zeros, and all bytes after these."""
+"""Positions in ``ZERO``: a sample of its many leading zero bytes, and its last 40 bytes."""
 
 
 @pytest.fixture(params=FIRMWARES)
@@ -349,7 +349,7 @@ def drives_after(request):
             now_ns += 10**8
             board.advance(now_ns)
         before = books.slots
-        # Longer than a period at 10 Hz, shorter than the host timeout of the newest firmware.
+        # Wait for more than a period at 10 Hz, but less than the host timeout.
         board.advance(now_ns + 25 * 10**7)
         return books.slots > before
 

@@ -218,7 +218,7 @@ def test_a_range_of_scans_is_a_range_of_pulses(make_sequence):
     report = books.report
     assert (report.sequences, report.slots, report.pulses, report.most_pulses) == (1, 16, 128, 160)
     assert report.max_current_ma == pytest.approx(0.7)
-    # A possible fifth pass adds charge without its sign: a slot of 0.07 µC, three of 0.01 µC.
+    # The fifth pass is uncertain, so its slots add up without sign: 0.07 µC and 3 times 0.01 µC.
     exact = HostStatistics(8)
     exact.add(sequence, 4)
     assert exact.report.most_pulses == 128

@@ -75,7 +75,7 @@ def test_a_scale_that_is_too_low_does_not_raise_the_largest_current(kind):
     low, limits = board_of(kind, (1 - BAND) * NOMINAL_UA[kind])
     most = 2500 if kind == "etactilekit" else 3000
     assert counts_of(kind, low, most, limits) == counts_of(kind, nominal, most, limits)
-    # Well below the limit, the driver uses the measured scale.
+    # At 1500 µA, well below the largest current, the driver uses the measured scale.
     ratio = counts_of(kind, low, 1500, limits) / counts_of(kind, nominal, 1500, limits)
     assert ratio == pytest.approx(1 / (1 - BAND), rel=0.05)
 
@@ -217,7 +217,7 @@ def test_an_emulated_board_of_weighted_outputs(start_emulator):
         limits = SafetyLimits.of(profile)
         board.send(one_each(limits, 0, 200, 0.0, 10**10, cathodic=True, period_us=20_000))
         found = board.measure()
-        # The scans of the measurement have not raised the ramp for this sequence.
+        # The measurement has not raised the ramp, so the gate refuses this sequence.
         weak = one_each(limits, 300, 200, 0.2, 0, cathodic=True, sites=[3], period_us=20_000)
         with raises(SafetyError, limit="ramp_s", allowed=0):
             board.send(weak)

@@ -87,7 +87,7 @@ def test_a_driver_without_a_port_writes_nothing_that_is_late():
 
 @pytest.mark.parametrize("pause_ns", [3 * LATE_NS, HOUR_NS])
 def test_after_a_pause_it_begins_at_zero(pause_ns):
-    """This holds after an hour of suspend, too, because the clock runs on during suspend."""
+    """An hour of suspend counts as a pause, because the clock runs on during suspend."""
     board = board_of(MemoryDriver, 8, "")
     with board:
         board.send(pulses(8, 0))
@@ -134,7 +134,7 @@ def test_a_packet_whose_time_has_passed_is_not_written(port, times):
 
 
 def test_what_waits_while_the_level_is_closed_is_not_sent(port):
-    """A proof from before the reset does not count: the ramp is checked again at the write."""
+    """The ramp is checked again at the write, so a proof from before `close_level` is void."""
     with board_of(Kajimoto61Driver, 61) as board:
         deliver(board, pulses(61, 0))
         with board._news:

@@ -225,7 +225,7 @@ class RandomFaults:
             "double": data[: where + 1] + data[where:],
             "cut": data[:where],
             "swallow": b"",
-            # Zeros delimit frames, so that a repeated frame is complete.
+            # Add zero bytes, which delimit frames, so that the repeated frame is complete.
             "again": data + b"\0" + self.random.choice(self.before) + b"\0",
             "none": data,
         }[kind]

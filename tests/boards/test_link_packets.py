@@ -165,8 +165,8 @@ SAYS = "says it is alive"
 
 
 class Reads:
-    """Line whose reads return the pieces, the last one again and again. A number is the duration of
-    a read that returns no bytes, s."""
+    """Line whose reads return ``pieces``, and then the last piece for ever. If a piece is a number,
+    the read takes this time, s, and returns no bytes."""
 
     name = "here"
     now_ns = write = None
@@ -188,12 +188,12 @@ class Reads:
 
 
 SILENCE_S = 2.5 * LISTENED_S
-"""Longest silence of a board, above the 2 * LISTENED_S counted for two pauses of the computer."""
+"""Silence after which a board is gone. Two delayed reads count as less: 2 * LISTENED_S."""
 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize(("pieces", "begun", "is_gone"), [
-    # A pause of this program is not silence of the board, and a board is silent before a session.
+    # The board is not gone: this program pauses, or the session has not begun.
     ([SAYS, 2 * SILENCE_S, b"", SAYS], True, False),
     ([b""], False, False),
     ([SAYS, b""], True, True),
@@ -220,7 +220,7 @@ class SmallDriver(SimulatedDriver):
 
 
 def made_scan(rng, table, step):
-    """Return a scan of 1 to 11 slots, of kernels or of currents, every fourth with a recharge."""
+    """Return a scan of 1 to 11 slots, from kernels or currents. Some scans have a recharge."""
     count = int(rng.integers(1, 12))
     size = rng.integers(1, 4, count)
     first = np.concatenate([[0], size.cumsum()])

@@ -139,7 +139,7 @@ def happen(what, folder, child):
 def test_what_happens_to_a_run_and_its_files_hides_it_from_no_stop(
     folder, smarttouch_stop, monkeypatch, what, code, said, ends, locks
 ):
-    """This holds also on file systems that have no locks, or hide them from other computers."""
+    """A stop finds a run even if the file system has no locks, or does not share its locks."""
     monkeypatch.setattr(run_registry, "ANSWER_S", 1.0)
     monkeypatch.setenv("XDG_STATE_HOME", os.environ["XDG_STATE_HOME"])
     if not locks:

@@ -1,4 +1,4 @@
-"""A process has one registry entry for all boards; signals set these to zero before it ends."""
+"""All boards of a process share one registry entry. A signal sets all these boards to zero."""
 
 import hashlib
 import os
@@ -58,7 +58,7 @@ def test_a_run_is_asked_to_end_before_its_board_is_at_zero():
     stop, order = StopRequest(), []
 
     def work(say):
-        # A slow function of the stop request does not delay zero.
+        # Functions called on a stop may be slow. They must not delay zero.
         stop.always_on_stop(lambda: time.sleep(PATIENCE_S))
         board = Display()
         board.zero = lambda how: order.append(stop.event.is_set())
@@ -161,7 +161,7 @@ def start_event_loop():
 
 
 def sleeping(before=lambda: None, within=lambda: None, opening=lambda board: board.__enter__()):
-    """Return a function that opens a board, sleeps until a signal, and fails without zero."""
+    """Return a function that opens a board, sleeps until a signal, and then waits for zero."""
 
     def work(say):
         board = Display()

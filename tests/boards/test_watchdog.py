@@ -171,12 +171,12 @@ def test_signals_do_not_end_it(board, port, number):
 
 @pytest.mark.parametrize("ignored", [False, True])
 def test_where_it_is_killed_this_program_writes_zero(board, port, ignored):
-    """This holds also if SIGCHLD is ignored, so that each ended process seems to have code 0."""
+    """The program writes zero even if it ignores SIGCHLD, which hides the watchdog's exit code."""
     before = signal.signal(signal.SIGCHLD, signal.SIG_IGN if ignored else signal.SIG_DFL)
     try:
         port.arm()
         os.kill(port._process.pid, signal.SIGKILL)
-        # The thread of the heartbeat notices the end, without a call of the program.
+        # The heartbeat thread notices that the watchdog has ended.
         assert board.read(len(ZERO)) == ZERO
         assert not port.at_zero
         with pytest.raises(serial.SerialException):
@@ -205,7 +205,7 @@ def test_a_suspended_computer_is_a_silent_host_and_a_stuck_board_ends_it(monkeyp
     slept_s, codes = [5.0], []
     monkeypatch.setattr(watchdog, "_slept_s", lambda: slept_s[0])
     monkeypatch.setattr(watchdog, "STUCK_S", 0.05)
-    # Longer than a busy machine needs between two heartbeats, shorter than the suspend of 1 s.
+    # The host timeout must exceed the time between heartbeats, but not the suspend of 1 s.
     monkeypatch.setattr(watchdog, "SILENCE_S", 0.9)
     port.setblocking(False)
     with port, board, control, controls:

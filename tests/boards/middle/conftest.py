@@ -39,7 +39,7 @@ class KeptBooks(DeliveryLog):
 
 
 def parse(piece):
-    """Return body, kind, number and session of a frame, without the package; None if garbled."""
+    """Return body, kind, number and session of a frame, or None if its bytes are damaged."""
     try:
         body = cobs.decode(piece)
     except cobs.DecodeError:
@@ -61,7 +61,7 @@ class Stream:
         self.waiting, self.seen, self.sent, self.session, self.newest = b"", set(), [0], 0, 0
 
     def open(self, session):
-        """Make a session the current one, if the true sender opened it after the current one."""
+        """Change to a session, if the true sender opened it later than the current session."""
         if session in self.sent[self.sent.index(self.session) + 1 :]:
             self.session, self.newest = session, 0
 
@@ -70,7 +70,7 @@ class Stream:
         return cobs.decode(frame[:-1]) in self.seen
 
     def judge(self, piece):
-        """Add bytes. If these complete a valid frame, return (kind, is it old), else None."""
+        """Add bytes. If they complete a valid frame, return its kind and whether it is old."""
         if not piece.endswith(b"\0"):
             self.waiting += piece
             return None
@@ -126,7 +126,7 @@ class Middle:
         self.due += [*out, (now_ns, held)]
 
     def old(self, frames):
-        """Return a zero, which ends any incomplete frame, and a random one of ``frames``."""
+        """Return a zero byte, which ends an incomplete frame, and then one of ``frames``."""
         return b"\0" + self.random.choice(frames) if frames else b""
 
     def arrived(self, now_ns):
@@ -248,7 +248,7 @@ class SteppedSession(LinkSession):
 
     def idle(self):
         if not self.line.is_stopped:
-            # The next call raises the error, as with the board's sender thread.
+            # Suppress the error here: the next call on the board raises it.
             with contextlib.suppress(BoardError):
                 self._driver.idle()
 

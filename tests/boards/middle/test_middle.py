@@ -102,7 +102,7 @@ def check(world, host, gone_ns, ending):
     order = [number for number, _, _ in books.kept]
     assert order == sorted(order), "an old sequence was delivered after a newer one"
     assert books.state == "shorted"
-    # The board refuses a withheld frame at the latest LATE_MS after the next ALIVE.
+    # From LATE_MS after the next ALIVE on, the board refuses withheld frames.
     late_ms = SILENCE_MS + 1 + (LATE_MS + ALIVE_MS if ending == "withheld" else 0)
     last_us = max((time_us for *_, time_us in books.kept), default=0)
     assert last_us <= gone_ns / 1000 + 1000 * late_ms
@@ -129,17 +129,17 @@ def test_a_man_in_the_middle(make_world, runs):
             for middle in (world.to_board, world.to_host):
                 faults.update(middle.counts)
                 middle.share = 0.0
-            # The board counts HELLOs without BEGIN when the next host begins.
+            # Begin once more: the board then counts earlier HELLOs that no BEGIN followed.
             Host(world).board.open()
             assert world.refused() >= world.replayed["board"]
             totals.update(world.replayed)
             totals.update(slots=world.books.slots, refused=world.refused(), faults=world.given_up)
     print(
-        f"\n{runs} runs, {Host.asked_ever - asked} sequences sent, {totals['slots']} slots: "
-        "0 unsafe, 0 not sent, 0 old; old frames that reached the board "
-        f"{totals['board']}, refused by it {totals['refused']}; that reached the host, all "
-        f"counted, {totals['host']}; "
-        f"faults {dict(faults)}, hosts with an error {totals['faults']}"
+        f"\n{runs} runs, {Host.asked_ever - asked} sequences sent, {totals['slots']} slots "
+        "delivered: none unsafe, unsent or old. "
+        f"{totals['board']} old frames reached the board; the board refused {totals['refused']} "
+        f"frames. {totals['host']} old frames reached the host, which counted them all. "
+        f"Faults: {dict(faults)}. Hosts with an error: {totals['faults']}"
     )
     assert totals["slots"] > 10 * runs
     assert totals["board"] > 10 * runs
