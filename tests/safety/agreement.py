@@ -1,7 +1,7 @@
 """Comparison of safety gate and oracle: ``python -m tests.safety.agreement 1000000``.
 
-Run it in the repository's root; ``--jobs 2`` starts two processes. Both judge the same random
-sequences. The exit status is 1 if they disagree, or if a rule was never the only one broken.
+Run it in the repository's root; ``--jobs 2`` uses two processes. Gate and oracle judge the same
+random sequences. The exit status is 1 if they disagree, or if some rule was never broken alone.
 """
 
 import argparse

@@ -16,7 +16,7 @@ WHOLE = 10**9
 FREE_RISE = 1_000
 """Tolerance of the ramp for rounding errors, ppb."""
 TIMES_ITS_SHARE = 4
-"""Largest ratio of a sequence's strength to its relative charge: largest pulse over full pulse."""
+"""Strength is at most this factor times the relative charge, which is 1 for a full pulse."""
 LATE_NS = 100_000_000
 """Delay after which a sequence is dropped. Strength may exceed the ramp by the rise in this time,
 so that a late sequence can catch up."""
@@ -30,8 +30,8 @@ NET_PC = 50 * 10**6
 LEVEL_KEPT_NS = 15 * NS
 """Time without current after which the ramp's level falls to zero."""
 LONGEST_SHARE_US = 40_000
-"""`STRONG_A_SECOND` and `MEAN_UA` also limit each single sequence: over its period, or over this
-time if the period is longer."""
+"""Longest time over which `STRONG_A_SECOND` and `MEAN_UA` limit a single sequence. If its period
+is shorter, the limits hold over the period."""
 TOTAL_MA = 10
 DENSITY_UC_CM2 = 100
 PC_MM2 = 10**4
@@ -67,7 +67,7 @@ def area_mm2(array):
 
 
 def charge_pc(charge_uc, area, density_uc_cm2):
-    """Return the largest charge of a pulse, pC, by the limits of charge, density and Shannon."""
+    """Return the largest pulse charge, pC, within the limits of charge, density and Shannon."""
     with localcontext(prec=60):
         own = Decimal(repr(float(charge_uc))) * 10**6
         if area is None:

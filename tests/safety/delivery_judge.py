@@ -20,14 +20,14 @@ ROUNDING_UA = 0.5
 CLOSE = 1 + 1e-5
 """Tolerance for charges in delivery logs, which have single precision."""
 BURST = 1 + 0.1 + 0.04
-"""Largest allowed ratio of the sum over any second to its limit. A delay of up to 100 ms adds 0.1,
-and a sequence that delivers the current of 40 ms at once adds 0.04."""
+"""Largest allowed sum over a second, in multiples of the limit. A delay of up to 100 ms adds 0.1. A
+sequence that delivers the current of 40 ms at once adds 0.04."""
 SECOND_US = 10**6
 
 
 @dataclass(frozen=True)
 class Pulses:
-    """Delivered pulses in order of time; arrays are (N,) and (N, E).
+    """N delivered pulses of E electrodes, in order of time; arrays are (N,) and (N, E).
 
     ``time_us`` is None if times are unknown; ``width_us`` is None if widths are unknown.
     """

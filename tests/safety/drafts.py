@@ -15,7 +15,7 @@ from .bounds import LATE_NS, NS, TIMES_ITS_SHARE, WHOLE, exact
 class Draft:
     """Sequence that attacks can modify, with the clock time of sending and the number of passes.
 
-    Its arrays have 64 bits, so that a modification can leave the range; `made` wraps the value.
+    Its arrays have 64 bits, so that attacks can set too large values. `made` wraps them to 16 bits.
     """
 
     current_ua: np.ndarray

@@ -182,7 +182,7 @@ def recharge(draft, oracle, rng, beyond):
     phase[sites] = [level, -level]
     draft.recharge_us = rng.randint(1, min(RECHARGE_US, RECHARGE_PC // level))
     if len(sites) == 2 and rng.random() < 0.9:
-        # Add the strongest slot through these electrodes, so that the phase has charge to return.
+        # Charge these electrodes by the strongest slot: a recharge phase must remove charge.
         draft.resize(1)
         most = min(
             level_at(bounds, draft.intensity), *(bounds.electrode_ua[each] for each in sites)
@@ -329,7 +329,7 @@ EDGES = {
 
 @cache
 def attacks(bounds):
-    """Return the names of attacks for a display, repeated for limits that few displays reach."""
+    """Return the names of a display's attacks. Names are repeated to make rare attacks likelier."""
     full_ua = bounds.full_ua + bounds.rounding_ua
     often = ["current"] * (min(bounds.electrode_ua) < full_ua)
     often += ["charge"] * (full_ua * bounds.pulse_us > bounds.charge_pc)

@@ -40,7 +40,7 @@ class GateUnderTest:
         self._gate = SafetyGate(SafetyLimits.of(profile), self.clock)
 
     def ask(self, sequence, clock_ns, times=1, written=True):
-        """Let the gate prove a sequence when its clock is at ``clock_ns``, and return the answer.
+        """Set the clock to ``clock_ns``, let the gate prove a sequence, and return the answer.
 
         If ``written``, the gate records that the accepted sequence was written."""
         self.clock.time_ns = clock_ns

@@ -75,7 +75,7 @@ class Level:
         self.close()
 
     def close(self):
-        """Reset the level to zero, as before any current."""
+        """Reset the level to zero, as if no current had flowed."""
         self._ppb, self._strong_ppb, self._from_ns, self._current_ns = 0, 0, None, 0
         self.begun = False
 
@@ -88,8 +88,8 @@ class Level:
         return by_time if by_time < self._strong_ppb else max(self._ppb, self._strong_ppb)
 
     def most(self, time_ns):
-        """Return the largest strength with which a sequence may begin at a time. For the first
-        sequence, only the tolerance for rounding errors is allowed."""
+        """Return the largest strength that a sequence at ``time_ns`` may have. The first sequence
+        must have strength 0, apart from rounding errors."""
         if not self.begun:
             return FREE_RISE
         return self.at(time_ns) + FREE_RISE + self._bounds.late_rise
@@ -101,7 +101,7 @@ class Level:
         ahead_ns = 0
         if self._from_ns is not None:
             passed_ns = max(time_ns - self._from_ns, 0)
-            # The board finishes its running pass, counted up to `LATE_NS`, and drops repetitions.
+            # The board drops repetitions, but finishes its pass. At most `LATE_NS` of it count.
             ahead_ns = min(max(self._current_ns - passed_ns, 0), LATE_NS)
         if current_ns:
             self._ppb, self._strong_ppb = min(ppb, self.at(time_ns)), strong_ppb
@@ -133,7 +133,7 @@ class Oracle:
         self._passes = []
         self.time_ns = self.clock_ns = None
         self.newest = None
-        """Intensity, strength and time of current of the newest sequence that broke no rule."""
+        """Intensity and strength of the last accepted sequence, and duration of its current, ns."""
         self._level.close()
 
     def judge(self, sequence, clock_ns, times=1, written=True):
@@ -176,17 +176,17 @@ class Oracle:
         return broken
 
     def wrote(self, sent, clock_ns):
-        """Record that a sequence was written and raises the level; ``sent`` is its `newest`."""
+        """Record that a sequence was written; ``sent`` is `newest` as `judge` has set it."""
         clock_ns = max(clock_ns, self.clock_ns or 0)
         ppb, strong_ppb, current_ns = sent
         self._level.sent(ppb, strong_ppb, clock_ns, current_ns)
 
     def most(self, clock_ns):
-        """Return the largest strength with which a sequence may begin, in parts per billion."""
+        """Return the largest strength that a sequence at ``clock_ns`` may have, ppb."""
         return self._level.most(clock_ns)
 
     def passes_by(self, clock_ns):
-        """Return all passes that end later than one second before ``clock_ns``."""
+        """Return all passes that at ``clock_ns`` run or ended less than a second ago."""
         passes = list(self._passes)
         if self._last is not None:
             begun = self._last.begun(clock_ns)
@@ -199,7 +199,7 @@ class Oracle:
         return self._sums(self.passes_by(clock_ns))
 
     def most_net_before(self, clock_ns):
-        """Return the highest and lowest net charge, pC, of any number of the latest passes."""
+        """Return the largest and smallest net charge, pC, over the latest 0, 1, 2, … passes."""
         high = low = sums = np.zeros(self.bounds.electrodes, np.int64)
         for each in reversed(self.passes_by(clock_ns)):
             sums = sums + each.net_pc
@@ -243,9 +243,9 @@ class Oracle:
         return True
 
     def _seconds(self, new, known, clock_ns):
-        """Return, for each rule over a second, whether all seconds with new passes keep it.
+        """Return, for each rule over a second, whether every second with new passes keeps it.
 
-        After the first new pass has left the second, sums do not grow, so the check ends there.
+        A second after the end of the first new pass, sums no longer grow, so the check ends.
         """
         alone = new.alone
         net_pc = alone.slots_pc + alone.recharge_pc
@@ -271,7 +271,7 @@ class Oracle:
         return keeps
 
     def _spent_by(self, clock_ns):
-        """Return time, charge and net charge of the session, with all passes begun by a time."""
+        """Return time, charge and net charge of the session's passes begun by ``clock_ns``."""
         if self._last is None:
             return self._spent
         spent_us, spent_pc, net_pc = self._spent

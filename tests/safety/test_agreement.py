@@ -12,7 +12,7 @@ from .oracle import Oracle
 
 SEQUENCES = 9000 if WHOLE else 3500
 FIRST = 300
-"""First seed, from which few streams suffice to break each rule alone."""
+"""Seed of the first stream. From here on, a few streams break every rule alone."""
 
 
 @pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")

@@ -18,7 +18,7 @@ MS = 1000
 
 @pytest.fixture
 def judges_books():
-    """Exempt the delivery logs of these tests, as no gate has proved their pulses."""
+    """Keep the watch from judging delivery logs: no gate has proved the pulses of these tests."""
     return False
 
 
@@ -32,7 +32,7 @@ def pulses(rows, *, width=100, every_us=10 * MS, first_us=10**6, **other):
 ALIKE = replace(FULL, electrode_ua=(3000,) * 4)
 INSIDE_AND_OUTSIDE = [
     ("current", pulses([3000, -3000, 0, 0]), pulses([3001, -3001, 0, 0])),
-    # An electrode that shares its polarity with others may carry more.
+    # Skin divides the current of one source, so one of two cathodes may exceed 3000 µA.
     ("current", pulses([3400, 100, -2000, -1500]), pulses([3500, 0, -2000, -1500])),
     ("total", pulses([1750, 1750, -1750, -1750]), pulses([1760, 1760, -1760, -1760])),
     ("charge", pulses([2000, -2000, 0, 0], width=200), pulses([2001, -2001, 0, 0], width=200)),

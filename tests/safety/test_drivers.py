@@ -116,7 +116,7 @@ def test_no_driver_gets_more_than_its_board_can_make():
 
 @pytest.mark.parametrize("thread", [False, True])
 def test_after_a_stop_only_zero_is_written(thread):
-    """After a stop, current is refused from all threads, and for sequences proved before it."""
+    """After a stop, all threads refuse current, even for sequences proved before the stop."""
     raised = []
 
     def send_on(driver):
@@ -142,7 +142,7 @@ def test_after_a_stop_only_zero_is_written(thread):
 
 
 def test_a_stop_within_a_write_ends_in_zero_after_it():
-    """A signal handler can stop the board while its own thread is writing."""
+    """A signal handler can stop a board in the middle of a write."""
     with board_of(driver := Theirs()) as board:
         board.send(sequence(0))
         with driver.line.current(driver.proved[0]):

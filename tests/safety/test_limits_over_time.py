@@ -71,8 +71,8 @@ def test_a_new_session_waits_until_half_of_the_net_charge_is_free(opened):
         gate.check(pulses(2, time_ns=SECOND + 1 + step))
         clock.time_ns += 20_000_000
     gate.begin_session()
-    # 26 passes of 0.96 µC are below 25 µC, half of the limit, so 4 of the 30 must leave the second.
-    # The fourth ended 440 µs after its start.
+    # 26 passes of 0.96 µC stay below 25 µC, half of the limit. So the first 4 of the 30 passes must
+    # be over a second old. The fourth ended 440 µs after its start.
     rest_ns = gate.net_rest_ns()
     assert rest_ns == SECOND - 27 * 20_000_000 + 440_000
     clock.time_ns += rest_ns - 1

@@ -21,7 +21,7 @@ START = 3 * NS
 """Clock time at which the sequences of `warmed` are more than a second old."""
 SILENT = sequence([], intensity=0)
 OPENED_PC = sum(2 * 200 * math.ceil(step * 750 / STEPS) for step in range(1, STEPS + 1))
-"""Charge through one electrode, pC, of the sequences of `warmed`."""
+"""Charge that the sequences of `warmed` pass through one electrode, pC."""
 
 
 def ask(oracle, made, clock_ns, times=1, **other):
@@ -78,7 +78,7 @@ def test_claimed_time_rises():
 
 
 def test_the_first_is_silent():
-    # The pulse of 1 pC is 500 ppb of a full pulse, so its intensity determines the strength.
+    # 1 pC is 500 ppb of a full pulse. This allows a strength of 2000 ppb, so intensity decides.
     strongest = Oracle(replace(FULL, full_ua=Fraction(10_000)))
     for ppb, broken in ((1_001, ["ramp"]), (1_000, [])):
         first = sequence(pair(1), width=1, intensity=intensity_of(ppb))
@@ -88,7 +88,7 @@ def test_the_first_is_silent():
 
 
 OVER_NS = 50_000_000 + 1 + 15 * NS
-"""Last time at which the level of `started` is kept: 15 s after its current of 50 ms."""
+"""Last time at which the level of `started` is kept: 15 s after the end of its current."""
 
 
 @pytest.mark.parametrize(("most_ppb", "clock_ns"), [
@@ -103,7 +103,7 @@ def test_a_level_is_opened_by_the_time_of_current(most_ppb, clock_ns):
 
 @pytest.mark.parametrize(("made", "opened"), [
     (strong(2 * 10**8, period=500_000), 200_000_000),
-    # 100 µA for 200 µs is a thirtieth of a full pulse, so the strength is at most 4/30.
+    # 100 µA for 200 µs are 1/30 of a full pulse. The strength is at most four times as much.
     (sequence(pair(100), width=200, period=500_000), 133_333_336),
 ])  # fmt: skip
 def test_and_no_further_than_current_was_strong(made, opened):
@@ -133,7 +133,7 @@ def test_a_clock_that_falls_gives_no_time_and_what_is_refused_changes_nothing():
 
 
 @pytest.mark.parametrize(("made", "count", "step_ns", "one", "wait_ns", "rule"), [
-    # A pass counts until its last slot leaves the second: its 30 slots take 4.5 ms.
+    # A pass counts until its end is a second ago. Its 30 slots take 4.5 ms.
     (sequence(twin(600, 30)), 50, 20_000_000, sequence(pair(600)), 4_500_000, "strong"),
     # A pass carries 9.6 µC, so 52 passes stay below the limit of 500 µC.
     (sequence(twin(2000, 24), width=200), 52, 1_000_000, sequence(twin(2000, 4), width=200), NS,
@@ -141,7 +141,7 @@ def test_a_clock_that_falls_gives_no_time_and_what_is_refused_changes_nothing():
     # A pass has a net charge of 0.8 µC, so 62 passes stay below the limit of 50 µC.
     (sequence(pair(2000, 2), width=200, period=10_000), 62, 10_000_000,
      sequence(pair(2000, 2), width=200, period=10_000), NS // 2, "net"),
-    # The limit is 111 passes: 110 in 1.1 s at 100 Hz, and one more.
+    # At 100 Hz, 110 passes begin within 1 s and the allowed delay of 0.1 s. One more is allowed.
     (sequence([], period=10_000), 111, 100_000, sequence([], period=10_000), NS, "sequences"),
 ])  # fmt: skip
 def test_limits_of_any_second(made, count, step_ns, one, wait_ns, rule):
@@ -161,7 +161,7 @@ def test_a_phase_takes_back_what_was_carried():
 def test_repetitions_are_judged_before_they_begin_and_ended_by_what_is_newer():
     made = sequence(twin(600, 30))
     assert ask(warmed(), made, START, 50) == []
-    # Pass 51 begins before the last slot of pass 1 has left the second.
+    # Pass 51 begins less than a second after the end of pass 1, so both passes count.
     assert ask(warmed(), made, START, 51) == ["strong in a second"]
     oracle = warmed()
     assert ask(oracle, sequence(twin(600, 14)), START, 3) == []
@@ -204,7 +204,7 @@ def test_bounds_of_profiles():
     assert mouse.electrode_ua == (5000,) * 64
     assert (mouse.pulse_us, mouse.ramp_ns, mouse.late_rise) == (200, NS // 2, 200_000_000)
     assert (mouse.rounding_ua, mouse.session_us) == (33, 3600 * 10**6)
-    # The threshold, 1.2 mA in single precision, is slightly above 1.2, so half rounds up to 601.
+    # Half of the threshold of 1.2 mA, slightly above 600 µA in single precision, is rounded up.
     assert mouse.strong_ua == (601,) * 64
     assert mouse.recharge_ua == (120,) * 64
     assert 2400 < mouse.full_ua < Fraction(24_001, 10)

@@ -25,7 +25,7 @@ def prove_all(gate, sequence, times=1, **_):
 
 @pytest.fixture
 def blind(safety_watch):
-    """Return a watch, while gates accept every sequence and the usual watch is off."""
+    """Let gates accept every sequence. Return a watch that replaces the usual one."""
     safety_watch.on = False
     blinded = watch.Watch()
     with pytest.MonkeyPatch.context() as patch:

@@ -50,15 +50,15 @@ class Watch:
         self._limits, self._proved_sequences = WeakKeyDictionary(), WeakKeyDictionary()
 
     def bounds_of(self, limits):
-        """Return the bounds of limits, or of the profile from which the limits were made."""
+        """Return the bounds of a `SafetyLimits`, if possible from the profile it was made from."""
         bounds = vars(limits).get(OF_PROFILE) or Bounds.of_limits(limits)
         self._seen[bounds.electrodes] = bounds
         return bounds
 
     def bounds_of_size(self, electrodes):
-        """Return the bounds of this test's last display with this number of electrodes.
+        """Return the bounds of a display with this number of electrodes.
 
-        Without such a display, return the bounds of a shipped profile of that size, or None.
+        This test's last display has priority over shipped profiles. If none fits, return None.
         """
         if electrodes in self._seen:
             return self._seen[electrodes]
@@ -108,7 +108,7 @@ class Watch:
             self._delivered(Pulses.taken(*pulses), bounds, "simulated:")
 
     def judge_books(self, root):
-        """Judge all delivery logs in a folder, with bounds of the last display of that size."""
+        """Judge all delivery logs in a folder, with the bounds that `bounds_of_size` returns."""
         for delivered in sorted(Path(root).rglob(DELIVERED_FILE)):
             if (delivered.parent / STATE_FILE).is_file():
                 pulses = Pulses.of_books(delivered.parent)
