@@ -1,12 +1,11 @@
 """Measurement of the last pulse of an emulated board whose host ends at a random time.
 
-``python tests/stress/hosts.py etactilekit kill 100`` prints the results of 100 runs as JSON. In a
-run the host is killed or frozen while it opens or drives its board. Or the board is stopped while
-the host measures, raises the intensity or repeats a sequence: from another thread, or by a signal
-handler in the thread that drives the board. Then the host tries to continue. This process emulates
-the boards, and forks the hosts, which is faster than starting programs. Results are those of the
-delivery log, by the board's clock, which stands still while this process is delayed. Linux only:
-this process adopts and counts the processes that a host leaves behind.
+``python tests/stress/hosts.py etactilekit kill 100`` prints the results of 100 runs as JSON. With
+``kill`` or ``freeze``, the host is killed or frozen while it opens or drives its board. With the
+other actions, a second thread or a signal handler stops the board, and the host tries to continue.
+This process emulates the boards, and forks the hosts, which is faster than starting programs. Times
+are those of the board's clock, which stands still while this process is delayed. Linux only: this
+process adopts and counts the processes that a host leaves behind.
 """
 
 import argparse
@@ -46,12 +45,13 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 SIGNALS = {"kill": signal.SIGKILL, "freeze": signal.SIGSTOP}
 ACTIONS = ("measuring", "rising", "repeating")
-RISE_S, MOST, STEP_S, REPEATED = 0.6, 0.25, 0.02, 3
-"""Duration of a full ramp, final intensity, duration of a step, index of the repeated step."""
+RISE_S, MOST = 0.6, 0.25
+"""Duration of a ramp from 0 to 1, and the largest intensity that is sent."""
+STEP_S, REPEATED = 0.02, 3
 LATEST_S = 0.6
-"""Largest time until the host is ended, after its start or its first pulse."""
+"""Largest random delay before a host is killed or frozen, or its board is stopped."""
 OPENING = 4
-"""Every fourth host is ended at a random time after its start, others after a first pulse."""
+"""Every fourth host is killed or frozen after its start, the others after their first pulse."""
 PATIENCE_S, LEAVES_WITHIN_S = 30.0, 10.0
 WATCHED_NS = 600_000_000
 AWAKE_NS = 250_000_000
@@ -280,7 +280,7 @@ def stopped_run(kind, action, from_thread, at_s):
         stopped_ns is None or told.count(b"\n") < 3 or board.clock.now_ns() < stopped_ns + AWAKE_NS
     ):
         assert time.monotonic() < begun + PATIENCE_S, (kind, action, from_thread, at_s, told)
-        # Read the pipe first: everything written to the line before a message is then processed.
+        # Read the pipe before the line: `serve` then processes all bytes that precede a message.
         if select.select([ours], [], [], 0)[0]:
             told += os.read(ours, 1000)
         board.serve()

@@ -32,13 +32,13 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 ROUNDS = 2
 KITS = ("etactilekit 71adee2", "etactilekit newest")
 WIRE_MS = {"kajimoto61": 13.0, "etactilekit newest": 8.0}
-"""Time for which pulses can continue after a stop: the rest of a scan, or of the scan in a packet.
-For other boards it is 0."""
-LONGEST_START_S, LONGEST_END_S = 3.0, 30.0
-"""Largest time from the start of a run to a signal, and from the signal to the end of the run."""
+"""Largest time for which a board may finish a scan after a stop; 0 for other boards."""
+LONGEST_START_S = 3.0
+"""Largest random time from the start of a run to its signal."""
+LONGEST_END_S = 30.0
 WITHIN_MS, WATCHED_MS = 100, 600
 STEP_MS = 10
-"""Time by which the clock of an emulated board advances at most while its process is delayed."""
+"""Largest advance of an emulated board's clock while its process is delayed."""
 
 
 def ended(cases, runs, folder):
