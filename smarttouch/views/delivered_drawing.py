@@ -49,8 +49,8 @@ class SpikeMap:
     """Picture of spikes: each spike at its receptor, in the color of its class, on white.
 
     ``placed`` converts points on a finger at a pose to points on the picture, (N, 2) mm from the
-    picture's corner. ``field_mm`` is the standard deviation of a receptive field. With ``mean``,
-    the spikes at each point are divided by the number of poses in which the finger covered it.
+    picture's corner. ``field_mm`` is the standard deviation by which spikes are blurred. With
+    ``mean``, the spikes at a point are averaged over poses in which the finger covered the point.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class SpikeMap:
     def _pixels(
         self, places_mm: Places, pose: Pose
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-        """Return rows and columns of the points on the picture, and the mask of these points."""
+        """Return rows and columns of points on the picture, and a mask that selects the points."""
         shape = self._passes.shape
         column, row = np.floor(self._placed(places_mm, pose) / self._pixel_mm).astype(np.intp).T
         on = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
@@ -121,7 +121,7 @@ class DeliveredDrawing(ABC):
         afferents: tuple[Afferent, ...],
         magnification: float = 1.0,
     ) -> None:
-        self.poses: dict[int, Pose] = {}  # by sequence number, if intensity was above zero
+        self.poses: dict[int, Pose] = {}  # by sequence number, only of sequences with current
         self._period_us: dict[int, int] = {}
         self.answers: dict[int, Floats] = {}  # by sequence number: (E,) responses from 0 to 1
         self._respond = partial(bank.responses, profile, afferents)
@@ -279,7 +279,7 @@ def _draw_classes(
 
 
 class PageDrawing(DeliveredDrawing):
-    """Picture of the mean response at each point of all pages or lines that the finger touched.
+    """Picture of all pages or lines that the finger touched, with the mean response at each point.
 
     ``sheet`` returns the current page or line, or None if the source has none.
     """
@@ -301,7 +301,7 @@ class PageDrawing(DeliveredDrawing):
             self._sheets[sheet.number] = sheet
 
     def under(self) -> Under:
-        """Describe the area of all pages and lines, or else the area that electrodes touched."""
+        """Describe the area of all pages and lines or, without any, of all electrode positions."""
         if not (self._sheets or self.poses):
             raise SmartTouchError("nothing to draw, as no pulse was delivered: raise the intensity")
         places_mm = [self.places_mm(pose) for pose in self.poses.values()]
@@ -355,7 +355,7 @@ class DeliveredPicture(Listener):
         if not isinstance(run.board.driver, SimulatedDriver):
             raise SmartTouchError(
                 "the picture needs a report of every pulse, which this board does not send: "
-                "use the board simulated:"
+                "add --board simulated:"
             )
         self._driver = run.board.driver
         source_drawing = getattr(run.source, "drawing", None)

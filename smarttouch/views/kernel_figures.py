@@ -83,8 +83,8 @@ def _reach_mm(profile: Profile) -> Array:
 
 
 def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
-    """Return for each class the AF, (D, ..., E), that 1 mA through each of E electrodes causes at
-    ``places``, (..., 2), along each of D directions of the nerve fiber."""
+    """Return for each class the AF at ``places``, (..., 2), of 1 mA through one electrode. Each
+    array, (D, ..., E), has an entry for each of D fiber directions and each of E electrodes."""
     skin = profile.skin
     per_ma = {}
     for shown in Afferent:

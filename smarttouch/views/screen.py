@@ -399,12 +399,12 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
         )
     net_uc = figures["max_net_charge_uc"] or 0
     net = f"largest charge left by a discharge {1e6 * net_uc:.3g} pC"
-    counted = f"{figures['emulator_violations']} violations counted by the board"
+    counted = f"{figures['emulator_violations']} violations of limits, counted by the board"
     if by_host:
         least, at_most = figures["pulses"], figures["pulses_at_most"]
         pulses = str(least) if least == at_most else f"{least} to {at_most}"
         net = f"net charge of all pulses at most {net_uc:.2g} µC on one electrode"
-        counted = f"{pulses} pulses, counted by this program, as the board reports none"
+        counted = f"{pulses} pulses, counted by this program, because the board reports no pulses"
     lines = [
         f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
         f"{figures['frames_in']} frames in, {figures['frames_delivered']} delivered, "

@@ -47,7 +47,7 @@ class PlainStream:
     """Standard stream whose failures become a SmartTouchError.
 
     If ``name`` is empty, failures are ignored. With ``plain``, control characters are replaced, and
-    `isatty` returns False to prevent drawing. A `console` draws on the `direct` stream.
+    `isatty` returns False to prevent drawing. To draw, `console` uses the stream `direct`.
     """
 
     def __init__(self, stream: TextIO, name: str, plain: bool = True) -> None:

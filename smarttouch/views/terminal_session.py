@@ -88,7 +88,7 @@ def run_in_terminal(
             config,
             force=force,
             listeners=[
-                *([] if page is None else [page]),  # before others, to print the address first
+                *([] if page is None else [page]),  # before the screen, to print the address first
                 shown,
                 *listeners,
                 operation,

@@ -142,7 +142,7 @@ class Window(Listener):
             self._events.append((self._event_count, entry))
 
     def close(self) -> None:
-        """Send the end of the run to the pages. Without ``stays``, also stop serving."""
+        """Send the end of the run to the pages. Stop serving, unless ``stays`` is set."""
         if not self.ended:
             reason, failed = self._end
             self.ended = json.dumps({"type": "ended", "reason": reason, "failed": failed})
@@ -302,7 +302,7 @@ def _image(image: NDArray[np.uint8]) -> Message:
 
 
 def sheet_message(sheet: Sheet) -> Message:
-    """Return size and position of a page or line of print, in the coordinates of poses."""
+    """Return number, size and top left corner of a page or line of print, as a message."""
     return {
         "number": sheet.number,
         "size_mm": [round(length_mm, _DIGITS) for length_mm in sheet.page.size_mm],
