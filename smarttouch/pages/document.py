@@ -40,7 +40,8 @@ MOST_RENDERED_PIXELS = 36_000_000
 resolution, because most of them are scans whose PDF counts each pixel as a point (1/72 inch)."""
 GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
 _LEAST_BELIEVED_DPI = 50.0
-"""Lowest plausible resolution. Many programs write less, or 72, if the resolution is unknown."""
+"""Smallest resolution that is believed. The value 72 is not believed either: many programs write
+it if they do not know the resolution."""
 
 
 class LockedError(PageError):
@@ -48,7 +49,7 @@ class LockedError(PageError):
 
 
 class Document(Closing):
-    """Pages of a PDF, TIFF or other image, loaded on request. The content tells the format.
+    """Pages of a PDF, TIFF or other image, loaded on request. The file's content tells its format.
 
     A PDF page is rendered with its filled-in forms, and provides its text. An image file is open
     only while a page is loaded. Only one thread at a time may load pages. ``notes`` lists
@@ -151,7 +152,7 @@ class Document(Closing):
 def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None":
     """Return an open PDF; None for other files."""
     with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
-        # Readers accept the header in the first 1024 bytes (ISO 32000-1, Annex H.3.4.1).
+        # PDF programs accept a header within the first 1024 bytes (ISO 32000-1, Annex H.3.4.1).
         if b"%PDF-" not in file.read(1024):
             return None
     try:
@@ -222,7 +223,7 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
 _ABOVE, _AROUND = 0.95, 0.3  # extent of a letter above and below the baseline, in letter sizes
 _FAINT = 12  # contrast, gray levels, below which print is invisible
 _MOST_UNKNOWN = 0.05  # largest share of undefined characters in a text
-_MOSTLY = 0.5  # largest length of print that the file's text lacks, relative to the text's lines
+_MOSTLY = 0.5  # largest length of print that has no text in the file, relative to print with text
 _ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
 _BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # a bullet in a symbol font
 
@@ -263,12 +264,12 @@ _SMALLER = 0.95  # largest size of a superscript or subscript, relative to the t
 _SHIFTED = (0.1, 0.8)  # range of distances of sub- and superscripts from the baseline, letter sizes
 _NEAR = 0.55  # largest gap between a sub- or superscript and the word, in letter sizes
 _INITIAL = 1.8  # smallest size of a drop cap relative to the text
-_TOUCHING = 0.3  # at a line break in the file, smallest gap that means a space, in letter sizes
+_TOUCHING = 0.3  # smallest gap, in letter sizes, that is a space if the file has a line break there
 _FARTHEST = 2.5  # largest space within a segment, in letter sizes
 _SPACED = 0.8  # largest letter spacing, in letter sizes
 _WIDER = 1.5  # smallest gap between letter-spaced words, relative to the letter spacing
 _EVEN = 0.25  # largest difference between the spaces of a justified line, in letter sizes
-_EACH = 0.4  # largest space in a justified line, in letter sizes: this times the number of words
+_EACH = 0.4  # largest space in a justified line, in letter sizes, divided by the number of words
 
 
 def _segments(signs: list[Segment]) -> list[Segment]:
@@ -360,7 +361,7 @@ _FEWEST_SPOTS = 4  # smallest number of letters in print without text
 
 
 def _print_on(page: Page) -> list[TextLine]:
-    """Return the lines of print on a page from which all text was erased."""
+    """Return the lines of print in a page's image. The file's text was erased from the image."""
     step = page.mm_per_pixel / _COARSE_MM
     coarse = cv2.resize(page.grey, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
     ink = np.abs(coarse - np.median(coarse)) > _CONTRAST

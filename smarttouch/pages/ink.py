@@ -32,8 +32,8 @@ class Paper:
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     """Separate ink from paper in an image, (H, W) uint8; by default, detect light print on dark.
 
-    The threshold is near the mean of paper and ink. This is a local mean or, on grainy paper, the
-    mean of the page. Pale print beside black print counts as ink only on digital pages (no grain).
+    The threshold is about halfway between paper and ink. It is local or, on grainy paper, the same
+    for the whole page. Pale print beside black print counts as ink only on pages without grain.
     """
     light_on_dark = is_light_on_dark(grey) if light_on_dark is None else light_on_dark
     grey = ~grey if light_on_dark else grey

@@ -25,7 +25,7 @@ _LONGEST = 40.0  # largest ratio of length to height of a word with touching let
 _UNDERLINE, _THIN = 3.0, 0.3  # underline: smallest length, largest thickness, in letter heights
 _TWO_LINES = 1.7  # smallest height of a component that may span two lines, in letter heights
 _LEAST_LINE = 0.6  # smallest height of a line in a component of two lines, in letter heights
-_VALLEY = 0.25  # largest ink in a pixel row between two lines, relative to their fullest pixel rows
+_VALLEY = 0.25  # largest ink in a pixel row between two lines, relative to the lines' fullest rows
 
 
 def weighted_median(values: Indices | Floats, weight: Floats) -> float:
@@ -234,7 +234,7 @@ _DEGREES = (8.0, 20.0, 40.0)
 _DESCENDING = 2.5  # factor for distances below a baseline: descenders get smaller weights
 _ROUNDS = 5  # iterations of the robust fit
 _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # candidate x-heights, in letter heights
-_NEAR = (0.1, 0.5)  # tolerance of heights, as a sum: the first part in x-heights, the second in px
+_NEAR = (0.1, 0.5)  # tolerance of heights: first number in x-heights, plus second number in px
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of ascender height and descender depth from the baseline, in x-heights."""
 _UNDECIDED = 0.3  # if a larger share of letters ends above the baseline, the baseline is raised
@@ -243,7 +243,7 @@ _TOUCHING = 1.3  # smallest median width of components in a row of touching lett
 _ON_LEVELS = 0.65  # smallest share of letters with typical heights in a row of text
 _TOUCHING_ON_LEVELS = 0.52  # smallest share of typical letter heights in a row of touching letters
 _FEW_ON_LEVELS = 0.8  # smallest share of letters with typical heights if the row has few letters
-MANY = 8  # smallest number of letters with which a row shows by itself whether it is text
+MANY = 8  # smallest number of letters in a row that can be judged without other rows
 _SOLID = 0.75  # smallest share of ink in the box of a disc or a square
 
 
@@ -316,7 +316,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     score = np.tensordot((1, 0.9), _on_levels(rise, tried[:, None]).mean(axis=-1), 1)
     x_height = float(tried[score.argmax()])
     alike = rise[np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]]
-    # Take the mean of these heights, or their minimum if only the minimum fits all letters.
+    # Take the mean of the measured x-heights, or the minimum if only this fits all letters.
     heights = (float(alike.mean()), float(alike.min())) if len(alike) else (x_height,)
     x_height = max(heights, key=lambda tried: _on_levels(rise, tried).any(axis=0).all())
     along = np.arange(right - left)
@@ -357,7 +357,7 @@ def _fitted(x: Floats, y: Floats, degree: int) -> Floats:
         # ``full`` avoids a warning about the undetermined slope if all points have the same x.
         curve = np.asarray(polynomial.polyfit(x, y, degree, full=True, w=weight)[0])
         away = y - polynomial.polyval(x, curve)
-        # Enlarge distances below the curve: descenders end there, and must get small weights.
+        # Enlarge distances below the curve, so that descenders get small weights.
         off = np.where(away > 0, _DESCENDING, 1) * np.abs(away)
         typical = float(np.partition(off, len(off) // 2)[len(off) // 2])
         # Weights of Geman and McClure: distant points hardly count.

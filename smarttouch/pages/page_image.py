@@ -49,12 +49,12 @@ class TextLine:
 
     @property
     def top_mm(self) -> float:
-        """y of the top of the print in the middle of the line."""
+        """y of the ascenders' top, halfway along the line."""
         return float(self.baseline_mm(np.array(self.left_mm + self.right_mm) / 2)) - self.ascent_mm
 
     @property
     def bottom_mm(self) -> float:
-        """y of the bottom of the print in the middle of the line."""
+        """y of the descenders' bottom, halfway along the line."""
         return self.top_mm + self.height_mm
 
 

@@ -199,11 +199,11 @@ def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Base
 _EVEN = 0.85  # share of letters with typical heights from which a line is called even
 _FEW = 4  # smallest number of letters with which an even line is certainly text
 _SIMILAR = 1.7  # largest ratio between the x-heights of a line and a line that is certainly text
-_MOST_OF_ALL = 0.8  # if no line is certainly text, smallest share of the page's ink in its lines
+_MOST_OF_ALL = 0.8  # if no line is certainly text, lines must contain this share of the page's ink
 _OWN = (-1.8, 0.6)  # top and bottom of a line relative to the baseline, in x-heights
-_AROUND = (-1.7, 0.5)  # range around the baseline searched for foreign ink, in letter heights
-_FOREIGN = 0.1  # largest foreign ink (outside lines) per letter of a line, relative to its ink
-_NEAR_FOREIGN = 0.5  # largest foreign ink per letter of an even line, relative to the line's ink
+_AROUND = (-1.7, 0.5)  # vertical range for `_FOREIGN`, from the baseline, in letter heights
+_FOREIGN = 0.1  # largest ink around a line, divided by the line's ink and its number of letters
+_NEAR_FOREIGN = 0.5  # as `_FOREIGN`, but for a line that is even (see `_EVEN`)
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
@@ -222,7 +222,7 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
         left, right = max(0, round(line.left - size)), round(line.right + size)
         limit = _NEAR_FOREIGN if even and count >= _FEW else _FOREIGN
         area = int(line.letters.area.sum())
-        # A single component within another line belongs to a letter of the other line.
+        # If a line's only component lies in another line, the component belongs to a letter there.
         is_part = count == 1 and 2 * np.count_nonzero(rest[line.letters.box(0)]) < area
         limit = (limit * min(count, MANY) + (count == 1)) * area
         if np.count_nonzero(rest[top:bottom, left:right]) < limit and not is_part:
@@ -302,7 +302,7 @@ def _ends(lines: list[Baseline], components: Components) -> list[tuple[float, fl
 
 
 _SAME = 0.15  # largest relative difference between x-heights of one font size
-_CAPITALS = 0.08  # largest share of taller letters in a line that counts as all capitals
+_CAPITALS = 0.08  # largest share of letters taller than capitals in a line of capitals
 _CAPITAL = 1.42  # height of a capital, in x-heights
 _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 """Plausible ranges of ascent and descent, in x-heights."""
@@ -311,7 +311,7 @@ _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:
     """Return the x-height of each line, (N,) px, and the common ascent and descent, in x-heights.
 
-    Lines of one font size get the same x-height. In lines of only capitals and figures, the height
+    Lines of one font size get the same x-height. In lines of only capitals and digits, the height
     of capitals was measured, so the x-height is computed from this height.
     """
     size, length = np.array([(line.x_height, line.right - line.left) for line in lines]).T
@@ -340,9 +340,7 @@ def print_text(text: str) -> Page:
     if not any(wrapped):
         raise PageError("text: has no words: write them after the colon, as in text:Hello")
     height_mm = 2 * _MARGIN_MM + (len(wrapped) - 1) * _STEP_MM + _LINE_MM
-    require_size_mm(
-        f"the text of {len(wrapped)} lines", _WIDTH_MM, height_mm, "shorter text, or a page"
-    )
+    require_size_mm(f"the text of {len(wrapped)} lines", _WIDTH_MM, height_mm, "shorter text")
     sheet = Image.new("L", (round(_WIDTH_MM * _PER_MM), round(height_mm * _PER_MM)), 255)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=_LINE_MM * _PER_MM * 1.26)
     # heights above the baseline, mm: ascender, descender (negative), x-height

@@ -11,7 +11,7 @@ from typing import TypeVar
 _SAME_LINE = 0.3  # largest distance between baselines in one line, in letter sizes
 _SPACE = 0.1  # smallest gap that becomes a space, in letter sizes
 _WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
-"""Smallest gap, in letter sizes, that separates columns: of words, of figures, and in a picture."""
+"""Smallest gap between columns, in letter sizes: for words, for numbers, and in pictures."""
 _APART = 2.5  # smallest vertical or horizontal gap between separate lines, in letter sizes
 _FLUSH = 0.4  # largest difference between the ends of justified lines, in letter sizes
 _FARTHER = 1.6  # smallest distance between blocks of rows, relative to the typical row distance
@@ -21,7 +21,7 @@ _WIDER = 8.0  # smallest mean line width of prose in a PDF file, in letter sizes
 _WIDEST = 13.0  # smallest mean line width of prose with widely spaced rows, in letter sizes
 _LOOSE = 1.5  # row distance above which rows are widely spaced, in letter sizes
 _FEWEST = 3  # with fewer rows, the widths of lines do not tell prose from tables
-_SURE = 1.15  # largest factor between line width and prose limit at which the order is doubtful
+_SURE = 1.15  # the order is doubtful if a line width is within this factor of the prose limit
 DOUBTFUL = "the reading order is doubtful: words side by side may be columns, or rows of a table"
 # mark of a list item, or number of a section
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
@@ -211,11 +211,11 @@ def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
 
 
 def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
-    """Return the mean line width of two columns, relative to the limit for prose. Columns
-    with 1 or more are read one after the other. Return infinity if the file has this order."""
+    """Return the smaller mean line width of two columns, relative to the limit for prose. From 1,
+    the columns are read one after the other. Return infinity if the file has them in this order."""
     ends = [_text(row)[:1] + _text(row)[-1:] for row in right]
     if all(map(str.isdigit, ends)) or all(_text(row).endswith(":") for row in left):
-        return 0.0  # a table: the right column has only figures, or the left only labels
+        return 0.0  # a table: the right column has only numbers, or the left only labels
     level = min(len(left), len(right))
     printed = [part for row in band for part in row if part.place >= 0]
     sides = [part.left >= end for part in sorted(printed, key=lambda part: part.place)]

@@ -68,7 +68,7 @@ def _is_sheet(corners: Corners, covered: float, paper: Grey) -> bool:
 
 
 def flattened(grey: Grey, corners: Corners) -> Grey:
-    """Stretch a quadrilateral of a picture to a rectangle with the lengths of the longer sides.
+    """Stretch a quadrilateral of a picture to a rectangle; opposite sides get the longer length.
     Areas outside the picture get the picture's median gray level."""
     top, right, bottom, left = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
     width, height = max(2, round(max(top, bottom))), max(2, round(max(left, right)))

@@ -33,7 +33,7 @@ _BY_NAME = dict.fromkeys([".md", ".markdown"], _MARKDOWN) | dict.fromkeys(
     [".html", ".htm", ".xhtml"], f"html{_TEX}"
 )
 _ODF = rb"PK.{28}mimetypeapplication/vnd\.oasis\.opendocument\."
-_LISTED = rb"PK.*PK\x01\x02.{42}"  # ZIP file with a member; the member's name follows
+_LISTED = rb"PK.*PK\x01\x02.{42}"  # ZIP file, up to a member's name in its directory
 _KINDS = {
     rb"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b": f"html{_TEX}",
     _LISTED + rb"word/": "docx",
@@ -53,7 +53,7 @@ _KINDS = {
     rb"\s*\{.*\"(?:nbformat|cells)\"\s*:": "a notebook (Jupyter)",
     rb"\xd0\xcf\x11\xe0": "an old or locked Office document, or an Outlook mail",
 }
-"""Patterns of a file's bytes, and the format: pandoc's name or, if unsupported, a description."""
+"""Format for each pattern of a file's bytes: pandoc's name or, if unsupported, a description."""
 _OBJECT = re.compile(rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>", re.DOTALL)
 _DROPPED = {
     "headers and footers of its pages are left out": rb"<w:(?:hdr|ftr)\b.*?<w:t\b|"
@@ -168,7 +168,7 @@ def _repacked(path: Path) -> tuple[bytes, list[bytes]]:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as copy:
         for name, content in contents.items():
-            # In ODT files pandoc drops embedded objects, and rows marked as headings of tables.
+            # In ODT files, pandoc drops embedded objects. It also drops the heading rows of tables.
             marked = (
                 _OBJECT.sub(b"(embedded object)", content) if name == "content.xml" else content
             )
