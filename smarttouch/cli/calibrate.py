@@ -29,7 +29,9 @@ class CalibrationOptions(OptionGroup):
     """Options common to all calibrations."""
 
     output: Annotated[Path | None, option("Write results to this profile.", "FILE.toml")] = None
-    profile: Annotated[str | None, option("Copy this profile to a new output.", "NAME|FILE")] = None
+    profile: Annotated[
+        str | None, option("If --output is a new file, start from this profile.", "NAME|FILE")
+    ] = None
     overwrite: Annotated[
         bool, option("Replace an earlier result of the same calibration.", None, "--overwrite")
     ] = False

@@ -142,7 +142,9 @@ def show(
         from smarttouch.views.figure_style import new_figure, plain, save
 
         if not (log := read_levels(chosen)):
-            raise ProfileError(f"{chosen.name} has no logged level: hold a level for 10 s in a run")
+            raise ProfileError(
+                f"no comfort level is logged for {chosen.name}: hold an intensity for 10 s in a run"
+            )
         figure = new_figure(6, 3)
         plain(axes := figure.subplots(), chosen.name, "time, UTC", "comfortable current, mA")
         for mode in dict.fromkeys(settled.mode for settled in log):
@@ -178,7 +180,7 @@ def new(
     *tables, file = files
     if len(tables) + bool(grid) > 1:
         raise ProfileError(
-            "a table and --grid exclude each other: give only one, or none for a copy", key="table"
+            "a table and --grid are both given: give one, or neither to copy --like", key="table"
         )
     copied = ProfileFile(like, file, overwrite)
     if not tables and not grid:

@@ -44,7 +44,7 @@ def list_devices(context: typer.Context) -> None:
     rows = sorted((port.device, port.description) for port in ports)
     rows += [(f"camera:{number}", name) for number, name in cameras()]
     if rows:
-        print_table(rows, ("port", "description from the system"), left=2)
+        print_table(rows, ("port", "description of the port or camera"), left=2)
     else:
         typer.echo("No serial port and no camera was found.")
     names = ", ".join(f"{serial_port}:" for serial_port in BOARDS.names)

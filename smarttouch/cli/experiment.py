@@ -56,7 +56,7 @@ class _Participant(OptionGroup):
 
     @property
     def name(self) -> str:
-        """Participant's name in the file of answers. It tells if the participant is simulated."""
+        """Participant's name in the file of answers, marked if the participant is simulated."""
         who = self.simulate and f"simulated-{self.simulate}"
         return "-".join(filter(None, (self.subject, who)))
 
@@ -70,7 +70,7 @@ def run_listed(
     text: Annotated[
         str | None,
         argument(
-            "An experiment, free, or your own file (default: list all). Options "
+            "Name of an experiment, the word free, or your own file (default: list all). Options "
             "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27'; "
             "more are rate_hz (unless rates are compared), trials, train_s, gap_s and answer_s.",
             "NAME|FILE.py",

@@ -186,7 +186,7 @@ class RunOptions(OptionGroup):
 
     @property
     def is_watched(self) -> bool:
-        """Whether a person can watch the run, and the run writes no files."""
+        """Whether a person watches the run: a screen or window shows it, and no file is written."""
         return (self.window or (draws() and not self.plain)) and not self.files
 
     @cached_property
@@ -209,8 +209,7 @@ class RunOptions(OptionGroup):
         return Display(self.board_url, profile)
 
     def config(self, mode: str, **more: Any) -> "RunConfig":
-        """Return the configuration of an interactive run. ``more`` contains the command's
-        default settings, which --set can replace."""
+        """Return the configuration of a run. --set can replace the defaults in ``more``."""
         from smarttouch.running.config import RunConfig
 
         return RunConfig(**({"mode": mode, "paced": True} | more | self.settings()))
@@ -282,11 +281,8 @@ _NOT_OF_CONFIG = ("finger", "vibrators")  # names for --set that are not setting
 
 
 def or_standard_input(ctx: typer.Context, value: str | None) -> str | None:
-    """Return the value of an argument; for ``-``, the path of a temporary file with the standard
-    input.
-
-    The file is removed when the command ends.
-    """
+    """Return an argument; for ``-``, the path of a file with the standard input. The file is
+    removed when the command ends."""
     return str(ctx.with_resource(_file_of_standard_input())) if value == "-" else value
 
 
