@@ -279,7 +279,7 @@ class Pages:
     async def _act(self, page: ConnectedPage, what: str) -> None:
         steering = self._state.steering
         if what.startswith("key:"):
-            # Use a thread: `act` may wait for the source. Meanwhile pages can stop the run.
+            # Use a thread, so that pages can stop the run while `act` waits for the source.
             await asyncio.to_thread(steering.act, page.number, what)
         elif not steering.act(page.number, what) and what in _AT_ZERO:
             # A page without control cannot set the current to zero: end the run instead.
