@@ -40,7 +40,7 @@ MOST_RENDERED_PIXELS = 36_000_000
 resolution, because most of them are scans whose PDF counts each pixel as a point (1/72 inch)."""
 GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
 _LEAST_BELIEVED_DPI = 50.0
-"""Smallest resolution that is believed. The value 72 is not believed either: many programs write
+"""Smallest resolution that is believed. The value 72 is not believed, because many programs write
 it if they do not know the resolution."""
 
 

@@ -243,7 +243,7 @@ _TOUCHING = 1.3  # smallest median width of components in a row of touching lett
 _ON_LEVELS = 0.65  # smallest share of letters with typical heights in a row of text
 _TOUCHING_ON_LEVELS = 0.52  # smallest share of typical letter heights in a row of touching letters
 _FEW_ON_LEVELS = 0.8  # smallest share of letters with typical heights if the row has few letters
-MANY = 8  # smallest number of letters in a row that can be judged without other rows
+MANY = 8  # smallest number of letters that shows, without other rows, whether a row is text
 _SOLID = 0.75  # smallest share of ink in the box of a disc or a square
 
 

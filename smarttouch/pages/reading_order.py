@@ -211,8 +211,8 @@ def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
 
 
 def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
-    """Return the smaller mean line width of two columns, relative to the limit for prose. From 1,
-    the columns are read one after the other. Return infinity if the file has them in this order."""
+    """Return the smaller mean line width of two columns, relative to the limit for prose. At 1 or
+    more, read the columns one after the other. Infinity means that the file has them so."""
     ends = [_text(row)[:1] + _text(row)[-1:] for row in right]
     if all(map(str.isdigit, ends)) or all(_text(row).endswith(":") for row in left):
         return 0.0  # a table: the right column has only numbers, or the left only labels
