@@ -72,7 +72,7 @@ def run_listed(
         argument(
             "Name of an experiment, the word free, or your own file (default: list all). Options "
             "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27'; "
-            "more are rate_hz (unless rates are compared), trials, train_s, gap_s and answer_s.",
+            "others are rate_hz (unless rates are compared), trials, train_s, gap_s and answer_s.",
             "NAME|FILE.py",
         ),
     ] = None,
