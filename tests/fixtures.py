@@ -133,7 +133,7 @@ def one_thread():
 def forked_emulators(one_thread):
     """Let boards ``emulator:`` in this process fork their emulator, which is fast."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smarttouch.emulator.emulated_boards.subprocess", processes.forked_boards())
+        patch.setattr("smarttouch.emulator.drivers.subprocess", processes.forked_boards())
         yield
     processes.Forked.end()
 

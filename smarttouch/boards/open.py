@@ -17,12 +17,12 @@ BOARDS = Registry(
     Driver,
     BoardError,
     {
-        "emulator": "smarttouch.emulator.emulated_boards:EmulatorDriver",
+        "emulator": "smarttouch.emulator.drivers:EmulatorDriver",
         "etactilekit": "smarttouch.boards.kits.etactilekit:ETactileKitDriver",
         "kajimoto61": "smarttouch.boards.kits.kajimoto61:Kajimoto61Driver",
         "link": "smarttouch.boards.link.link_driver:LinkDriver",
-        "memory": "smarttouch.emulator.emulated_boards:MemoryDriver",
-        "simulated": "smarttouch.emulator.emulated_boards:SimulatedDriver",
+        "memory": "smarttouch.emulator.drivers:MemoryDriver",
+        "simulated": "smarttouch.emulator.drivers:SimulatedDriver",
     },
 )
 _WITHOUT_FINGER: dict[str, dict[str, Any]] = {

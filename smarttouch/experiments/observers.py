@@ -23,7 +23,7 @@ from scipy.special import ndtr, ndtri
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
-from smarttouch.emulator.emulated_boards import Pulses
+from smarttouch.emulator.drivers import Pulses
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import DeliveredSlots, SpikeModel, fire_all
 from smarttouch.physiology.vibration_thresholds import best_hz, sensitivity

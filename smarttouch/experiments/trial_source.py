@@ -8,7 +8,7 @@ from functools import partial
 
 from smarttouch.base.errors import ExperimentError, LevelNotReachedError
 from smarttouch.base.events import TrialEvent
-from smarttouch.emulator.emulated_boards import SimulatedDriver
+from smarttouch.emulator.drivers import SimulatedDriver
 from smarttouch.experiments.observers import Observer, Starts, interval_of
 from smarttouch.experiments.trials import STEP_S, Answer, Train, Trial, Trials
 from smarttouch.profile import Profile

@@ -10,8 +10,8 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.bank import design_confined, find_bank, load_bank
 from smarttouch.kernels.batch_design import design_sites, part_of
 from smarttouch.kernels.design_problem import Kernel, Problem
+from smarttouch.kernels.minmax_design import design_any_node
 from smarttouch.kernels.switched_design import designer
-from smarttouch.kernels.weighted_design import design_any_node
 from smarttouch.profile import Profile
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.design_problem import Kernel, KernelKind, Problem, limits_ma
-from smarttouch.kernels.weighted_design import design_kernel as design_weighted
+from smarttouch.kernels.minmax_design import design_kernel as design_weighted
 from smarttouch.profile import Profile
 
 _RING_PITCHES = 1.5  # radius of a ring: eight neighbors on a square grid, six on a hexagonal one

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ReadingError, import_extra
-from smarttouch.emulator.emulated_boards import SimulatedDriver
+from smarttouch.emulator.drivers import SimulatedDriver
 from smarttouch.imaging.array_window import pixel_pitch_mm
 from smarttouch.imaging.line_picture import LinePicture
 from smarttouch.imaging.tactile_mapper import Tone

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from smarttouch.base.afferent import CLASS_COLORS, Afferent
 from smarttouch.base.errors import DesignError, SmartTouchError
 from smarttouch.base.files import write_bytes
-from smarttouch.emulator.emulated_boards import SimulatedDriver
+from smarttouch.emulator.drivers import SimulatedDriver
 from smarttouch.imaging.line_picture import Floats, Raster, as_ink
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.pages.page_image import INCH_MM

@@ -16,7 +16,7 @@ from smarttouch.boards.open import (
     make_board,
     may_touch_a_finger,
 )
-from smarttouch.emulator.emulated_boards import MemoryDriver
+from smarttouch.emulator.drivers import MemoryDriver
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.sources import open_source
 from smarttouch.sources.force import open_force

@@ -12,7 +12,7 @@ from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Line
 from smarttouch.boards.link import Rule
 from smarttouch.boards.open import make_board
-from smarttouch.emulator.emulated_boards import SimulatedDriver
+from smarttouch.emulator.drivers import SimulatedDriver
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware

@@ -11,7 +11,7 @@ from smarttouch.boards.board import Board
 from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
 from smarttouch.boards.link import MessageKind
 from smarttouch.boards.open import make_board
-from smarttouch.emulator.emulated_boards import MemoryDriver
+from smarttouch.emulator.drivers import MemoryDriver
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.scans import one_each

@@ -29,7 +29,7 @@ from smarttouch.boards.link import (
 )
 from smarttouch.boards.link.link_driver import LISTENED_S, LinkSession
 from smarttouch.boards.link.sequence_encoding import KernelImage
-from smarttouch.emulator.emulated_boards import SimulatedDriver
+from smarttouch.emulator.drivers import SimulatedDriver
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import decode_head, decode_lists
 from smarttouch.emulator.link_rules import Room

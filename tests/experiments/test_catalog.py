@@ -10,7 +10,7 @@ import pytest
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ExperimentError
 from smarttouch.base.events import Marked, Note
-from smarttouch.emulator.emulated_boards import SimulatedDriver
+from smarttouch.emulator.drivers import SimulatedDriver
 from smarttouch.experiments.catalog import CATALOG, trials_of
 from smarttouch.experiments.free_stimulation import (
     FreeSource,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.errors import CalibrationError, ExperimentError, LineLostError
 from smarttouch.base.stopping import StopRequest
-from smarttouch.emulator.emulated_boards import MemoryDriver
+from smarttouch.emulator.drivers import MemoryDriver
 from smarttouch.experiments.calibration import file_to_calibrate
 from smarttouch.experiments.thresholds import (
     MOST_HURRIED,

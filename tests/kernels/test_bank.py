@@ -23,7 +23,7 @@ from smarttouch.kernels.bank import (
 )
 from smarttouch.kernels.batch_design import design_unless_known
 from smarttouch.kernels.design_problem import Problem
-from smarttouch.kernels.weighted_design import design_kernel
+from smarttouch.kernels.minmax_design import design_kernel
 from smarttouch.profile import list_profiles, load_profile
 
 from ..support.checks import raises

@@ -11,13 +11,13 @@ from smarttouch.kernels.bank import design_bank, find_bank, load_bank, problem_h
 from smarttouch.kernels.batch_design import design_sites, tiles_of
 from smarttouch.kernels.design_problem import Problem
 from smarttouch.kernels.kernel_tables import find_kernels
+from smarttouch.kernels.minmax_design import design_kernel
 from smarttouch.kernels.switched_design import (
     design_one_of_n,
     design_three_state,
     polarity,
     possible_modes,
 )
-from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.physiology.activating_function import af_matrix, everywhere
 from smarttouch.profile import load_profile
 

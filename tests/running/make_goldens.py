@@ -17,7 +17,7 @@ import numpy as np
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import LineLostError
 from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
-from smarttouch.emulator.emulated_boards import MemoryDriver
+from smarttouch.emulator.drivers import MemoryDriver
 from smarttouch.profile import load_profile
 from smarttouch.running import recorder as writer_module
 from smarttouch.running.config import RunConfig

@@ -13,7 +13,7 @@ from smarttouch.base.events import BoardRestarted
 from smarttouch.base.posix import priority_advice
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.open import make_board
-from smarttouch.emulator.emulated_boards import MemoryDriver
+from smarttouch.emulator.drivers import MemoryDriver
 from smarttouch.running.config import RunConfig
 from smarttouch.running.loop import Controls, ControlState, Loop
 from smarttouch.running.pipeline import Pipeline

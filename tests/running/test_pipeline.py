@@ -11,7 +11,7 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.errors import BoardError, ScheduleError
 from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
-from smarttouch.emulator.emulated_boards import MemoryDriver, SimulatedDriver
+from smarttouch.emulator.drivers import MemoryDriver, SimulatedDriver
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig

@@ -10,7 +10,7 @@ import pytest
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.errors import ProfileError, SourceError
-from smarttouch.emulator.emulated_boards import MemoryDriver
+from smarttouch.emulator.drivers import MemoryDriver
 from smarttouch.imaging.array_window import reading_force_n
 from smarttouch.instruments.electric_mouse import MouseSource, open_motion_over
 from smarttouch.instruments.relief import open_texture

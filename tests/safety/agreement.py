@@ -17,7 +17,7 @@ from .displays import display, display_names
 from .drafts import later, opening, ordinary
 from .edges import EDGES, attacks
 from .garbage import garbled
-from .gates import GateUnderTest, faults_of_copy
+from .gate_under_test import GateUnderTest, faults_of_copy
 from .oracle import NAMES, Oracle
 
 STREAM = 80

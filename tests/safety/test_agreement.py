@@ -7,7 +7,7 @@ import pytest
 
 from ..support.full import WHOLE, sample
 from .agreement import CRASH, STRICT, UNSAFE, Tally, attack, stream
-from .gates import Answer
+from .gate_under_test import Answer
 from .oracle import Oracle
 
 SEQUENCES = 9000 if WHOLE else 3500

@@ -5,14 +5,14 @@ from dataclasses import replace
 import pytest
 
 from smarttouch.boards.board import Board
-from smarttouch.emulator.emulated_boards import SimulatedDriver
+from smarttouch.emulator.drivers import SimulatedDriver
 from smarttouch.stimulation.safety_gate import Ramp, SafetyGate, SafetyLimits
 
 from ..support.scans import unproved
 from . import watch
 from .bounds import Bounds
 from .by_hand import pair, sequence
-from .gates import ManualClock
+from .gate_under_test import ManualClock
 
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 SILENT = sequence([], intensity=0.0, time_ns=0)

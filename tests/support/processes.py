@@ -153,7 +153,7 @@ def _serve(channel):
     for module in _IMPORTED:
         import_module(module)
     import_module("smarttouch.cli")._built()
-    driver = import_module("smarttouch.emulator.emulated_boards")
+    driver = import_module("smarttouch.emulator.drivers")
     driver.subprocess, Forked._server = forked_boards(), _SelfServer()
     # Write the delivery log more often, because many tests wait for it.
     import_module("smarttouch.emulator.devices")._WRITE_EVERY_NS = 10_000_000

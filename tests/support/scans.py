@@ -7,7 +7,7 @@ import numpy as np
 
 from smarttouch.base.clock import LATE_NS
 from smarttouch.boards.board import Board
-from smarttouch.emulator.emulated_boards import MemoryDriver
+from smarttouch.emulator.drivers import MemoryDriver
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits, frozen
 from smarttouch.stimulation.safety_limits import parts_per_billion
 from smarttouch.stimulation.scan_sequence import ScanSequence

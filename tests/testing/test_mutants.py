@@ -179,7 +179,7 @@ import math, time
 from dataclasses import replace
 import numpy as np
 from smarttouch import Frame, OpticalSource, Stimulus, StimulusSource
-from smarttouch.emulator.emulated_boards import MemoryDriver
+from smarttouch.emulator.drivers import MemoryDriver
 from smarttouch.plugins import ForceSource, Pose
 from smarttouch.testing import ZERO, DriverContract, ForceContract, SourceContract, StimulusContract
 from smarttouch.testing.driver_contract import planned_pulses

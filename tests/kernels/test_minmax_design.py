@@ -10,7 +10,7 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
 from smarttouch.kernels import linear_program
 from smarttouch.kernels.design_problem import Problem, limits_ma
-from smarttouch.kernels.weighted_design import design_any_node, design_kernel
+from smarttouch.kernels.minmax_design import design_any_node, design_kernel
 from smarttouch.profile import load_profile
 
 from ..support.checks import raises

@@ -8,13 +8,13 @@ import pytest
 from smarttouch.base.errors import BoardError, SafetyError, SequenceLateError
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import make_board
-from smarttouch.emulator.emulated_boards import MemoryDriver
+from smarttouch.emulator.drivers import MemoryDriver
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..support.scans import open_level
-from .gates import ManualClock
+from .gate_under_test import ManualClock
 
 SECOND = 10**9
 
