@@ -124,7 +124,7 @@ class Mixture:
     ideal_us: dict[Afferent, Times]  # (K,) int64, µs: ideal time of each pulse of a class
     carried: dict[Afferent, NDArray[np.intp]]  # (K,): for each pulse, the index of its stimulus
     left_out: tuple[Afferent, ...]  # classes that respond, but that the board cannot stimulate
-    vibrated: bool  # whether PC drive sets a vibrator's amplitude, until the next stimulus
+    vibrated: bool  # whether a mechanical vibrator stimulates PC; its amplitude follows PC drive
     answers: Mapping[Afferent, ReceptorResponse]  # response of each class to the trace
 
     @property

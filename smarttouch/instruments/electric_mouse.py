@@ -70,19 +70,19 @@ class PageMotion(HandMotion):
 
 
 SLIDES = 1.5
-"""Lag, in mouse counts, of the filtered place behind a moving hand. Jitter of one count along both
-axes is 1.4 counts long. This is less than the lag, so the filtered place does not follow jitter."""
+"""Distance, in mouse counts, by which the filtered place lags behind a moving hand. Jitter of one
+count along both axes moves the hand by 1.4 counts, which is less than this lag."""
 STICKS = 4.5
-"""Distance, in mouse counts, that a resting hand must move before the filtered place follows. This
-distance exceeds the lag (1.5 counts) plus the largest jitter (2.8 counts, corner to corner)."""
+"""Distance, in mouse counts, from the filtered place above which a hand counts as moving. At rest,
+the distance is at most 4.3: the lag (1.5), plus jitter of ±1 count along both axes (2.8)."""
 _ROUNDING = 1 + 1e-6  # factor that tolerates rounding errors when distances are compared
 
 
 class Deadband:
     """Filter with hysteresis that removes the jitter of a resting hand.
 
-    Once a read has found the hand at rest, jitter of one count (`resolution_mm`) along each axis
-    does not change the filtered place. With a resolution of 0 the filter changes nothing.
+    After the first read at rest, jitter of one count (`resolution_mm`) along each axis does not
+    change the filtered place. If the resolution is 0, the filter changes nothing.
     """
 
     def __init__(self, resolution_mm: float) -> None:

@@ -34,8 +34,8 @@ _NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
 class HandMotion(Device, ABC):
     """Base class of sources of a hand's displacement.
 
-    After the first read, `origin_mm` is the place on the texture where the motion starts, from the
-    top left corner; None means the middle. If `knows_force`, `force_n` is the latest force.
+    After the first read, `origin_mm` is the starting place, measured from the texture's top left
+    corner; None means the texture's middle. If `knows_force`, `force_n` is the latest force.
     """
 
     duration_s: float | None = None  # duration of the motion; None if endless
@@ -208,7 +208,7 @@ class SweepMotion(HandMotion):
         self.duration_s: float = float(self._table[-1, 0])
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return the displacement of the hand at a time; None after the last rest."""
+        """Return the displacement of the hand at a time; None after the end of the motion."""
         time_s = time_ns / 1e9
         if time_s > self._table[-1, 0]:
             return None
@@ -343,4 +343,4 @@ def _is_mouse(device: "InputDevice[str]") -> bool:
 
 
 def _evdev() -> Any:
-    return import_extra("evdev", "evdev:, only on Linux,", "mouse", SourceError)
+    return import_extra("evdev", "evdev: (only on Linux)", "mouse", SourceError)

@@ -173,14 +173,14 @@ class Relief(Texture):
         return np.asarray(depth[inside].copy(), np.float32)
 
 
-_STROKE = 0.15  # smallest depth, in grains, at which each grain of motion causes a pulse
+_STROKE = 0.15  # smallest depth, in grains, at which an electrode pulses once per grain of motion
 _STEP = 1.25  # distance between samples along the path, in pixels of the map
 _MOST_SAMPLES = 64
 _FULL = 0.96
 """Depths above this share of half a grain count as full, because rounding and blur lower depths."""
 _LEAST_RISE = 0.5
-"""A maximum of depth counts as a crest only if depth has risen, since the last pulse, by at least
-this share of the maximum. So the small maxima of a path along a ridge are ignored."""
+"""A maximum of depth counts as a crest if depth has risen by at least this share of the maximum
+since the last pulse. Smaller maxima, as on a path along a ridge, are ignored."""
 
 
 class ReliefFeeler:
@@ -198,7 +198,7 @@ class ReliefFeeler:
         self._least_mm = relief.pixel_mm / 2
         self._ground_mm = np.float32(_STROKE * relief.grain_mm)
         self._within_mm = relief.grain_mm / 2 - float(self._ground_mm)
-        """Distance an electrode moves from depth `_ground_mm` to the first pulse in an area."""
+        """Distance of motion in a wide area, from depth `_ground_mm` to the first pulse."""
         self._all = np.arange(len(position_mm))
         self._nothing = RidgeCrossing(np.zeros(len(position_mm), np.float32), 0)
         self._nothing.height.flags.writeable = False
@@ -224,7 +224,7 @@ class ReliefFeeler:
         step = by * (self._step_mm / abs(by))
         if samples > _MOST_SAMPLES:
             samples, step = _MOST_SAMPLES, by / _MOST_SAMPLES
-        # Include the last two samples, because a maximum shows only at the next sample.
+        # Include the last two samples of the previous move: a maximum is found one sample later.
         places = np.asarray(self._place + step * np.arange(-1, samples + 1), np.complex128)
         x, y = self._on_map(places)
         depth = np.concatenate([self._before, self._depth(x[2:], y[2:])])
@@ -251,7 +251,7 @@ class ReliefFeeler:
             self._lowest = lowest[-1]
             return self._nothing
         self._lowest = np.where(pulsed, depth[-1], lowest[-1])
-        # Count motion beyond the place where a pulse was due toward the next pulse.
+        # Measure the next grain of motion from where this pulse was due, not from where it is sent.
         gone, grain_mm = places[-1] - self._pulsed, self._relief.grain_mm
         gone_mm = np.maximum(np.abs(gone), grain_mm)
         over = gone_mm - grain_mm < step_mm * (len(places) - 2)
@@ -268,7 +268,7 @@ class ReliefFeeler:
         """Return which electrodes passed a crest, the sample of their last crest, and the number of
         electrodes that passed more than one crest."""
         middle = depth[1:-1]
-        # Where depth is constant, only the end is a crest. `_inside` causes earlier pulses.
+        # Of samples with equal depth, only the last is a crest. `_inside` finds earlier pulses.
         crest = (middle >= depth[:-2]) & (middle > depth[2:]) & (middle > self._least_mm)
         crest &= middle - lowest[1:-1] >= _LEAST_RISE * middle
         last = len(crest) - crest[::-1].argmax(axis=0)

@@ -126,9 +126,9 @@ def _parse(text: str) -> tuple[str, list[float]]:
 
 
 SPAN_DB = 5.0
-"""Level of a vibration above the threshold at which drive becomes full (our choice). At about this
-level, an afferent begins to fire in each cycle. The level is so low that a tone of 30 Hz with full
-RA drive stays below the threshold of PC."""
+"""Level of a vibration, relative to a class's threshold, at which drive becomes full (our choice).
+At about this level, an afferent begins to fire in each cycle. A tone of 30 Hz with this level for
+RA is still below the threshold of PC."""
 SAI_FORCE_N = 0.0013
 """Median threshold force of human SAI afferents (Johansson, Vallbo and Westling, Brain Res. 184,
 1980)."""
@@ -140,7 +140,7 @@ SAI_RATE_HZ = 50.0
 """Default SAI rate at full drive, as in ``pulse.sai_rate_hz``; at the threshold, SAI fires at a
 fifth of this rate."""
 _PAD_S = 1.0  # padding that joins a trace's end to its start for the cyclic Fourier transform
-_GAP_S = 0.05  # longest pause below the threshold that does not end a vibration (as in beats)
+_GAP_S = 0.05  # longest time below the threshold that does not end a vibration, as in beats
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,8 +231,8 @@ def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int
     on = np.flatnonzero(driven)
     if not len(on):
         return np.empty(0)
-    # Jitter can cause several zero crossings in a cycle, so count only new maxima of the phase. An
-    # offset lifts the phase of each driven stretch above the maxima of the previous stretch.
+    # With jitter, the phase can cross zero several times in a cycle: count only its new maxima.
+    # An offset makes the phase of each driven stretch larger than in all earlier stretches.
     starts = on[np.diff(on, prepend=-gap - 1) > gap]
     stretch = np.cumsum(np.bincount(starts, minlength=len(driven))) - 1
     height = full_turns - full_turns[starts][stretch] + stretch * (2 * len(driven))
