@@ -49,7 +49,7 @@ class ElectrodeArray:
                 "least two, because current needs a return path",
                 key="electrodes",
             )
-        # `_field_of_kinds` builds arrays in which equal electrodes overlap, so tolerate overlaps.
+        # Equal electrodes can overlap (`activating_function.py` builds such arrays), not coincide.
         self.refuse_overlaps(COINCIDENT_MM if self.own is None else None)
 
     def refuse_overlaps(self, least_mm: float | None = None) -> None:

@@ -196,15 +196,15 @@ class Profile(Table):
     def design_total_ma(self) -> float | None:
         """Limit of a kernel's total current during kernel design, mA; None without a limit.
 
-        The design has no limit if slots have a single point and only the project's ceiling applies.
-        `PointSlots` then refuses kernels above the ceiling.
+        None means that slots have a single point and that the profile sets no limit below the
+        project's ceiling. `PointSlots` then refuses kernels above the ceiling.
         """
         total = self.limits.total_ma or CEILING_TOTAL_MA
         return total if self.shares or total < CEILING_TOTAL_MA else None
 
     @cached_property
     def admittance(self) -> NDArray[np.float64]:
-        """Admittance of each electrode, (E,) mS. Current of one source divides in this ratio."""
+        """Admittance of each electrode, (E,) mS. A shared current divides in proportion to it."""
         impedance = np.asarray(self.output.impedance_kohm, np.float64)
         return np.broadcast_to(1 / impedance, (len(self.electrodes),)).copy()
 
@@ -263,8 +263,8 @@ class Profile(Table):
 
         Notes
         -----
-        Electrodes get the smallest threshold, comfort level and limit, and the largest impedance.
-        Masks, wiring, calibrations of the electrodes and defaults of commands are removed.
+        Electrodes get this profile's smallest threshold, comfort level and limit, and its largest
+        impedance. Masks, wiring, electrode calibrations and command defaults are removed.
 
         Examples
         --------

@@ -13,7 +13,7 @@ from smarttouch.base.files import make_folder, owner_only, read_text, unwritable
 from smarttouch.profile.profile import Profile
 from smarttouch.profile.toml_tables import Table
 
-SETTLED_NS = 10_000_000_000  # a level that is not changed during this time of touch is comfortable
+SETTLED_NS = 10_000_000_000  # time of touch after which an unchanged level counts as comfortable
 
 
 class SettledLevel(Table):
@@ -45,7 +45,7 @@ def read_levels(profile: Profile) -> list[SettledLevel]:
 class SettledLevels:
     """Log of the comfortable levels of a run, and offers of the levels of earlier runs.
 
-    An offer repeats the largest current of an earlier run. Offers above ``most`` are omitted."""
+    An offered level repeats the largest current of a logged level, and is at most ``most``."""
 
     def __init__(self, profile: Profile, most: float) -> None:
         self._profile, self._full_ma = profile, float(profile.full_ma.max())
