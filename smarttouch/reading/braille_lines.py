@@ -86,7 +86,7 @@ class CellLayout:
         return (3 if self.eight else 2) * self.dot_y + 1
 
     def dots_of(self, cells: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return rows and columns of the dots of cells."""
+        """Return the row and the column of the electrode for each dot of ``cells``."""
         index, dot = np.nonzero(cells_to_dots(cells))
         right, down = POSITION[dot].T
         top = (self.rows - self.height) // 2

@@ -231,12 +231,12 @@ class BrailleDisplaySource(StimulusSource):
         light = np.where(self._dots, 0, 255).astype(np.uint8)
         grey = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_NEAREST), np.uint8)
         top_mm = self._jumps * (rows * down + LINE_GAP_MM) - rows * down / 2
-        # Neither number ever decreases, so a new jump or update changes the sheet's number.
+        # Both counts only increase, so each jump and each update changes the sheet's number.
         number = self._jumps + self._taken.number
         return Sheet(number, Page(grey, across / _DOT_PX), (0.0, top_mm))
 
     def read(self, time_ns: int) -> Stimulus | None:
-        """Return a stimulus with the dots under the array. Without a connection, it is stale."""
+        """Return a stimulus with the dots under the array; a stale one without a connection."""
         shown, age_ns = self.shown, 0
         elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
         self._before_ns = time_ns

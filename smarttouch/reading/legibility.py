@@ -232,7 +232,7 @@ def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
 _PERIODS = 10
 """Number of periods for each letter. Noise and refractoriness change the spikes in each period."""
 _RAMP_US = MOST_STEP_NS // 1000
-"""Period of sequences while intensity rises. Longer sequences would raise it by the same step."""
+"""Period of sequences while intensity rises. A longer period would not raise intensity more."""
 
 
 @dataclass(frozen=True)
@@ -279,7 +279,7 @@ def letter_sequences(
 
 
 def letters_on_finger(
-    finger: Finger,  # its seed also seeds the noise
+    finger: Finger,  # simulated finger; `finger.seed` also seeds the noise of spikes
     # slots and electrodes of each letter, from `letter_sequences`
     shown: Mapping[str, tuple[SlotCurrents, NDArray[np.bool_]]],
     wanted: Sequence[Afferent],
@@ -302,8 +302,8 @@ def spikes_and_letter(
     known: Mapping[str, Floats],
     periods: int = _PERIODS,
 ) -> tuple[NDArray[np.intp], str]:
-    """Repeat ``slots`` for ``periods`` periods; ``above`` is their drive, (A, S). Return the spike
-    counts, (A,), and the best-matching letter ("" without spikes)."""
+    """Repeat ``slots`` for ``periods`` periods. ``above``, (A, S), is the drive of A afferents.
+    Return each afferent's spike count, (A,), and the best-matching letter ("" without spikes)."""
     model.reset()
     counts = np.sum([model.fire(slots, above).counts for _ in range(periods)], axis=0)
     places = model.finger.profile.electrodes.position_mm

@@ -33,13 +33,13 @@ INK_LEVEL = 128  # gray level of a prepared page below which a pixel counts as i
 NIB_PIXELS = PIXELS_PER_CELL - 1  # width of a thinned stroke
 _PLAIN = Tone(0.3, 0.3, prepared=True)
 """Tone curve of lines: an electrode is active if 0.3 of its cell is ink. On 8 rows, 1 to 3 % of
-the characters are unreadable. A threshold of 0.5 loses thin strokes and makes it 8 to 20 %."""
+the characters are unreadable; at 0.5 thin strokes are lost, and 8 to 20 % are unreadable."""
 _GRADED = Tone(0.0, 1.0, prepared=True)
 _DRAWN = Tone(0.35, 0.35, prepared=True)
 """Tone curve of single letters, whose strokes are one cell wide."""
 UNKNOWN_LEVEL = 0.7
-"""Intensity for simulated fingers, relative to the comfort level. It was chosen for
-the fewest errors in the anatomy that is harder to read (`examples/studies/reading_pages.py`)."""
+"""Intensity for simulated fingers, relative to the comfort level. In the worse of two
+simulated anatomies, it gives the fewest errors (`examples/studies/reading_pages.py`)."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Shapes:
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
     ) -> LineMotion:
-        """Return a smooth motion of lines, so that each edge of a letter passes each electrode."""
+        """Return a motion of lines without steps: each edge of a letter passes each electrode."""
         return LineMotion(usual_speed_mm_s(profile, rate_hz) if speed_mm_s is None else speed_mm_s)
 
     def lines(self, source: ReadingMaterial, profile: Profile) -> Iterator[TouchLine]:

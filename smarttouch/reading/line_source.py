@@ -197,7 +197,7 @@ class ReadingSource(OpticalSource):
         self._thread.join()
 
     def _prepare(self, lines: Iterator[TouchLine]) -> None:
-        """Put all lines into the queue, then None, or the error that stopped the preparation."""
+        """Put all lines into the queue, and finally None or, after an error, the exception."""
         count, end = 0, None
         try:
             for line in lines:
@@ -218,7 +218,7 @@ class ReadingSource(OpticalSource):
 
     def line(self, index: int, wait: bool = False) -> TouchLine | None:
         """Return a line; None if it does not exist, is no longer stored, or (without ``wait``) is
-        not ready. Only for the thread that calls `read`."""
+        not ready. Call this only in the thread that calls `read`."""
         while index >= self._count and not self._is_over:
             try:
                 item = self._queue.get(wait)
@@ -242,7 +242,7 @@ class ReadingSource(OpticalSource):
         self.index, self._line_s = index, 0.0
 
     def _go_on(self, beyond_mm: float) -> None:
-        """Go to the next line after the pause; skip an infinite pause after the last line."""
+        """Go to the next line after the pause. At the last line, ignore an infinite pause."""
         pause_s = self._pause_s
         if pause_s == math.inf and self.line(self.index + 1) is None and self._is_over:
             pause_s = 0.0

@@ -76,8 +76,8 @@ class ReadingMaterial:
                 yield index + 1, document.page(index)
 
     def prepared(self) -> Iterator[PreparedPage]:
-        """Yield the pages that have print, upright (see `upright_page`). A text is drawn as pages.
-        Raises ReadingError if no page has print."""
+        """Yield the pages with print, turned upright (see `upright_page`). A text is drawn on pages
+        first. Raises ReadingError if no page has print."""
         if self.words is None:
             has_lines: dict[int, bool] = {}
             for number, page in self.pages():

@@ -16,11 +16,11 @@ _LARGER = 1.2  # ratio of x-heights above which two lines differ in size of prin
 _INDENT = 0.8  # smallest indent of a paragraph, in x-heights
 _SAME_ROW_MM = 0.5  # largest height difference of lines that stand beside each other
 _EVEN = 0.5  # largest difference between the right ends of full lines, in x-heights
-_SHORT = 0.15  # share of free width above which a line ends early, even if lower case follows
+_SHORT = 0.15  # share of the column width that is free after a line, above which the line is short
 _OPEN = 1 / 3  # lines stay separate if at least this share ends early within a sentence
-_LONGEST_VERSE = 60  # longest line of verse, in characters; longer full lines are joined
+_LONGEST_VERSE = 60  # largest number of characters of a full line that can be verse
 _LEADERS = re.compile(r"(?:\s?[.·…‥•]){4,}\s*;?\s*(?=\S*\d\S*$|[ivxlc]{1,7}\W*$)")
-"""Leader dots before a page number or a price, which can be in the next cell of a table."""
+"""Leader dots before a page number or a price; a semicolon can separate cells of a table."""
 _BLANK = re.compile(r"(?:_{3,}|(?:\s?[.…]){5,})\W*$")
 """Blank space to write in, as on forms, at the end of a line."""
 _BULLETS = r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]"
@@ -68,8 +68,8 @@ def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) ->
 
 
 def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]:
-    """Return lines without running heads and page numbers, which ``note`` reports. These lines are
-    at the top or bottom of several pages, at the same height, and differ only in page numbers."""
+    """Remove running heads: lines at the top or bottom of several pages, at the same height, that
+    differ only in page numbers. ``note`` is called with a sentence about the removed lines."""
     pages = [
         sorted(page, key=lambda line: line.y_mm)
         for _, page in itertools.groupby(lines, lambda line: line.page)
@@ -85,7 +85,7 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
         outer = (_repeated(line, same) for line in edge[: _MOST_HEADS + 1])
         labels = list(itertools.takewhile(bool, outer))
         if len(labels) > _MOST_HEADS:
-            # More repeated lines mean that pages are copies of a form: remove only the page number.
+            # Many repeated lines mean that pages are copies of a form: remove only the page number.
             labels = [label for label in labels[:1] if "#" in label]
         steps = np.abs(np.diff([line.y_mm for line in edge]))
         apart_mm = steps[steps > _SAME_ROW_MM]
@@ -108,8 +108,8 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
 
 
 def _keys(line: PrintedLine) -> Iterator[str]:
-    """Yield keys that are equal for a running head on all pages. The first key is the text. Each
-    other key has # in place of a number, and ends with this number minus the page number."""
+    """Yield keys. Lines of one running head on several pages share a key: the line's text, or the
+    text with # in place of a number, followed by this number minus the page number."""
     yield line.text
     for number in re.finditer(r"\d{1,5}", line.text):
         before, after = line.text[: number.start()], line.text[number.end() :]
@@ -143,7 +143,7 @@ def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
             current = None
             continue
         if k and line.page != lines[k - 1].page:
-            # A footnote can end a page, so continue the last paragraph in the line's size of print.
+            # A page can end with a footnote, so continue the last paragraph in this size of print.
             alike = (earlier for earlier in reversed(joined) if lines[earlier.last].is_like(line))
             current = next(alike, None)
         text = _LEADERS.sub(" ", line.text)
@@ -188,7 +188,7 @@ class _Layout:
             self._classify(block)
 
     def _runs(self, parts: Callable[[PrintedLine, PrintedLine], bool]) -> Iterator[list[int]]:
-        """Yield runs of line indices. A run ends with its page, and where ``parts`` is true."""
+        """Yield runs of line indices. The end of a page or ``parts(line, next)`` ends a run."""
         run: list[int] = []
         for k, line in enumerate(self._lines):
             before = self._lines[k - 1]
@@ -200,8 +200,8 @@ class _Layout:
             yield run
 
     def _measure(self, column: Sequence[int], page: Sequence[PrintedLine]) -> None:
-        """Find the right margin of each line: the rightmost end of lines of its column in the same
-        size of print. Lines that reach into the neighboring column do not count."""
+        """Find the right margin of each line: the rightmost end of all lines in the column with the
+        same size of print. Lines that reach into the neighboring column do not count."""
         lines = self._lines
         for k in column:
             near_mm = self._step_mm[lines[k].page] / 2

@@ -28,7 +28,7 @@ Read = tuple[str, float]
 
 PAGE, BLOCK, _LINE = 3, 6, 7  # page segmentation modes of Tesseract
 LARGEST_SIDE = 32_000  # largest side, pixels; Tesseract's limit is 32,767
-_TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # time limit of a call; added time per strip
+_TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # time limit of a call, and extra time for each strip
 _WORD, _COLUMNS = "5", 12
 """Level of words in Tesseract's table, and number of its columns: level, page, block, paragraph,
 line, word, left, top, width, height, confidence, text."""
@@ -36,15 +36,15 @@ STRIP_MARGIN = 0.25
 """White margin around a strip, relative to its height. On noisy and blurred strips, 1.6 % of the
 characters were wrong with 0.25, 3.1 % with 0.15, and 2.3 % with 0.45."""
 _STRIP_PX, _NARROWER = 32, 0.85
-"""Height of lines for recognition (ascender to descender), and the factor that narrows them. Both
-save time without more errors."""
+"""Height to which lines are scaled for recognition, ascender to descender; then their width is
+multiplied by `_NARROWER`. Larger images take longer, and recognition is not better."""
 SURE = 0.6  # mean confidence below which a warning is given
 _LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "uig", "urd", "yid"])
 """Tesseract's codes of languages written from right to left."""
 _FIRST, _LONGEST = 5, 3  # the first 5 and the longest 3 lines decide the orientation
 _UPRIGHT, _FEWEST_LETTERS = 0.7, 30
 """A page is upright if `_FEWEST_LETTERS` letters or more have a mean confidence of `_UPRIGHT`."""
-_MORE = 1.15  # ratio of recognized letters above which another orientation is chosen
+_MORE = 1.15  # factor by which turning a page must increase the number of recognized letters
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ def _strip(prepared: PreparedPage, index: int) -> NDArray[np.uint8]:
 
 
 def _legible(read: Iterable[Read]) -> tuple[float, int]:
-    """Return two numbers: recognized letters weighted by their confidence, and all letters."""
+    """Return two numbers of recognized letters: weighted by confidence, and unweighted."""
     known = list(read)
     return sum(len(text) * sure for text, sure in known), sum(len(text) for text, _ in known)
 
