@@ -53,7 +53,7 @@ def ascii_braille(line: str) -> str:
 
 def format_brf(pages: Pages) -> bytes:
     """Convert pages to BRF. Raises BrailleError if a cell has dots 7 or 8."""
-    # An empty first line would read as the end of the form feed's line, so add a blank.
+    # `parse_brf` skips a line break after a form feed, so add a blank to an empty first line.
     sheets = ("".join(f"{ascii_braille(line)}\r\n" for line in page) for page in pages)
     return "\f".join(re.sub(r"^\r", " \r", sheet) for sheet in sheets).encode("ascii")
 
@@ -113,9 +113,9 @@ def _without_padding(pages: Pages) -> Pages:
 
 
 def without_page_numbers(pages: Pages, note: Callable[[str], None]) -> Pages:
-    """Remove page numbers that are in the same corner of two or more pages.
+    """Remove page numbers in the same corner of two or more pages, and repeated text beside them.
 
-    Repeated text beside them is removed, too. ``note`` is called with a sentence for each corner.
+    ``note`` is called with a sentence for each corner.
     """
     for (side, corner), (edge, edge_index) in itertools.product(_CORNERS.items(), _EDGES.items()):
         lines = ((k, corner.fullmatch(page[edge_index])) for k, page in enumerate(pages) if page)

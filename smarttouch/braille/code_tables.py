@@ -93,8 +93,8 @@ class BrailleTable:
         return plain, {sign: forms[sign] for sign in dict.fromkeys(text) if sign in forms}
 
     def _lacks(self, sign: str) -> bool:
-        """Return whether a character lacks cells of its own. Some tables translate superscripts to
-        plain digits or to blanks: these superscripts lack cells, too."""
+        """Return whether a character has no cells of its own. This includes superscripts that the
+        table translates to plain digits or to blanks."""
         if sign == "\n":
             return False
         if self.code.missing(sign):
@@ -183,8 +183,8 @@ class _Known(NamedTuple):
     goes_back: bool
 
 
-# For each table, 1000 sentences were encoded and decoded. de-2 and en-gb-2 restore at most one in
-# thirty, so `goes_back` is False. de-0 and de-1 lose only brackets, and numbers after a colon.
+# For each table, 1000 sentences were encoded and decoded. de-2 and en-gb-2 restored at most 1 in 30
+# sentences, so `goes_back` is False. de-0 and de-1 lost only brackets, and numbers after a colon.
 _KNOWN = {
     "en-1": _Known("English (UEB), uncontracted", "en-ueb-g1.ctb", True),
     "en-2": _Known("English (UEB), contracted", "en-ueb-g2.ctb", True),

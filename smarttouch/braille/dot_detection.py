@@ -45,7 +45,7 @@ def _dots(picture: cv2.typing.MatLike) -> NDArray[np.float64]:
 
 
 def _has_cells(dots: NDArray[np.float64]) -> bool:
-    """Return whether dots form cells: most have a neighbor, few have a left and a right one."""
+    """Return whether dots form cells: most have a neighbor, few have neighbors on both sides."""
     if not len(dots):
         return False
     points = dots.astype(np.float32)

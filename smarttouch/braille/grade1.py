@@ -17,7 +17,7 @@ _ACCENTS = {
     "\u0300": "⠘⠡", "\u0301": "⠘⠌", "\u0302": "⠘⠩", "\u0303": "⠘⠻", "\u0308": "⠘⠒",
     "\u030a": "⠘⠫", "\u030c": "⠘⠬", "\u0327": "⠘⠯",
 }  # fmt: skip
-"""Cells of accents by combining mark; the cells precede those of the letter."""
+"""Cells of each accent, by combining mark. They are placed before the cells of the letter."""
 _SIGNS = {
     " ": BLANK, ".": "⠲", ",": "⠂", ";": "⠆", ":": "⠒", "!": "⠖", "'": "⠄", "-": "⠤",
     "–": "⠠⠤", "—": "⠠⠤", "‘": "⠠⠦", "’": "⠠⠴", "«": "⠸⠦", "»": "⠸⠴",
@@ -158,8 +158,8 @@ Translator = Callable[[str], str]
 
 
 def encode_scripts(line: str, encode: Translator, encode_item: Translator) -> str:
-    """Translate a line by ``encode``. Superscripts and subscripts become technical notation, whose
-    contents ``encode_item`` translates."""
+    """Translate a line. Superscripts and subscripts become technical notation. ``encode_item``
+    translates what they contain, ``encode`` all other text."""
     cells, end = "", 0
     for script in _SCRIPT.finditer(line):
         item = encode_item(script[2].strip("()")).replace("⠐⠤", "⠤").replace("⠤", _MINUS)
@@ -181,7 +181,7 @@ def _joined(before: str, after: str) -> str:
 def decode_scripts(cells: str, decode: Translator) -> str:
     """Translate cells by ``decode``, and technical notation to superscripts and subscripts.
 
-    Contractions use the same cells, so the notation must follow a number or a grade 1 indicator.
+    Cells of the notation are also contractions, except after a number or a grade 1 indicator.
     """
     text, end = "", 0
     for match in _SCRIPT_CELLS.finditer(cells):
@@ -230,7 +230,7 @@ def _letter(character: str) -> str:
 
 
 def _capitals(text: str) -> tuple[dict[int, str], dict[int, str]]:
-    """Return two dicts of capital indicators, before and after a character, by character index."""
+    """Return capital indicators by character index: those before and those after a character."""
     before, after = {}, {}
     capital = [_is_letter(character) and character.isupper() for character in text]
     for is_capital, run in itertools.groupby(range(len(text)), capital.__getitem__):

@@ -153,7 +153,7 @@ def _library() -> ctypes.CDLL | None:
 
 
 def _goes_both_ways(table: str) -> bool:
-    """Return whether a table also decodes cells, by its metadata or by a test with letters."""
+    """Return whether a table also decodes cells, as its metadata or a test with letters shows."""
     if _query("lou_getTableInfo", table.encode(), b"direction") != "forward":
         return True
     code, letters = LouisCode(table, goes_back=True), _TEST_LETTERS.get(language_of(table), "abc")
@@ -189,7 +189,7 @@ def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
             )  # fmt: skip
         if not done:
             break
-        # liblouis can cut the output although it consumed all input, so retry if the buffer filled.
+        # liblouis can consume all input but cut off output: retry if the buffer is over half full.
         if read.value == length and written.value <= capacity // 2:
             return outbuf.raw[: written.value * width].decode(encoding, "replace")
     way = "cells to text" if back else "text to cells"

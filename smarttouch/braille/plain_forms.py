@@ -9,8 +9,8 @@ QUIET = {
     **dict.fromkeys("“”„‟«»", '"'), **dict.fromkeys("‘’‚‛‹›", "'"), **dict.fromkeys("‐‑–—―", "-"),
     "…": "...", "-": "\u00ad",
 }  # fmt: skip
-"""Plain forms that look almost the same, so their use is not reported. A hyphen becomes a soft
-hyphen for liblouis' Italian table, which has a cell only for the soft hyphen."""
+"""Plain forms that look almost like the original characters, so their use is not reported. A hyphen
+becomes a soft hyphen, because liblouis' Italian table has a cell only for the soft hyphen."""
 _FORMS = QUIET | {
     "−": "-", "⁄": "/", "∕": "/", "×": "x", "÷": "/", "·": ".", "⋅": ".", "≤": "<=", "≥": ">=",
     "≠": "/=", "≈": "~", "±": "+-", "→": "->", "←": "<-", "↔": "<->", "⇒": "=>", "′": "'",
@@ -20,14 +20,14 @@ _FORMS = QUIET | {
     "}": ")", "`": "'", "°": " degrees ", "§": "section ", "©": "(c)", "®": "(R)", "№": "No.",
     "¡": "", "¿": "", **dict.fromkeys("•◦▪‣●○■□▸►❖➢⁃\uf0b7\uf0a7\uf0d8\uf0fc\uf076", "*"),
 }  # fmt: skip
-"""Plain forms that Unicode does not define. Some of the bullets are those of symbol fonts."""
+"""Plain forms that Unicode does not define. Some bullets have private codes of symbol fonts."""
 _LATIN = re.compile(r"LATIN (SMALL|CAPITAL) (?:LETTER|LIGATURE) ([A-Z]{1,2})(?: WITH .*)?")
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (?:.* )?([A-Z]+?)(?: SYMBOL)?(?: WITH .*)?")
 
 
 def plain_forms(text: str, lacks: Callable[[str], bool]) -> tuple[str, dict[str, str]]:
-    """Replace characters that a code lacks by plain forms; return the text, and the form of each
-    replaced character ("" if it has none).
+    """Replace characters that a code lacks by plain forms. Return the new text, and a dict from
+    each replaced character to its plain form ("" if it has none).
 
     A superscript becomes ``^6``, a subscript ``_2``, a fraction after a number ``1 1/2``, so that
     no number changes its value.
@@ -66,7 +66,7 @@ def _script(sign: str) -> str:
 
 
 def _form(sign: str, lacks: Callable[[str], bool], within: str = "") -> str | None:
-    """Return the first plain form whose characters have cells or plain forms; None without any."""
+    """Return the first plain form that can be written in cells; None if there is no such form."""
     within += sign
     for form in _candidates(sign):
         if set(form).isdisjoint(within):
