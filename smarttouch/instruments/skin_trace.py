@@ -52,7 +52,7 @@ _TIME, _DISPLACEMENT, _FORCE = "time_s", "displacement_um", "force_n"
 
 
 def read_trace(path: Path) -> Trace:
-    """Load a trace from a CSV file with ``time_s`` and ``displacement_um``, ``force_n`` or both.
+    """Load a CSV file with column ``time_s``, and with ``displacement_um``, ``force_n`` or both.
 
     The trace is resampled by linear interpolation. The new rate is the median rate of the file,
     limited to the range from `SAMPLE_HZ` to `HIGHEST_SAMPLE_HZ`.
@@ -214,7 +214,7 @@ def pressed(trace: Trace, full_n: float, rate_hz: float) -> ReceptorResponse:
 
 
 def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
-    """Return a signal with cyclic padding, the index of its start, and the Fourier frequencies."""
+    """Return a padded cyclic signal, the index at which the trace starts, and the frequencies."""
     pad = round(_PAD_S * sample_hz)
     length = next_fast_len(len(row) + 2 * pad)
     joint = length - len(row)
