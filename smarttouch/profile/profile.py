@@ -108,7 +108,7 @@ def _misfits_of_strongest(
     if limits.total_ma is not None and limits.total_ma < strongest:
         yield UnfitError(
             f"limits.total_ma {limits.total_ma:g} is below the {strongest:.2f} mA that "
-            f"{strongest_of} sends through one electrode: raise it, or lower {strongest_of}",
+            f"{strongest_of} sends through one electrode: raise the limit, or lower {strongest_of}",
             key="limits.total_ma",
         )
     if width_us > limits.pulse_us:
