@@ -14,7 +14,7 @@ from smarttouch.reading.recognition import Note
 _GAP = 1.35  # line distance, relative to the page's median, above which a paragraph begins
 _LARGER = 1.2  # ratio of x-heights above which two lines differ in size of print
 _INDENT = 0.8  # smallest indent of a paragraph, in x-heights
-_SAME_ROW_MM = 0.5  # largest height difference of lines that stand beside each other
+_SAME_ROW_MM = 0.5  # largest vertical offset between lines that are side by side
 _EVEN = 0.5  # largest difference between the right ends of full lines, in x-heights
 _SHORT = 0.15  # share of the column width that is free after a line, above which the line is short
 _OPEN = 1 / 3  # lines stay separate if at least this share ends early within a sentence
