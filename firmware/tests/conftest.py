@@ -15,6 +15,7 @@ pytest_plugins = ["tests.fixtures"]
 def start_firmware():
     """Return a function that starts the C core on a pseudo-terminal: its process and port name."""
     from firmware.tests.build import host
+    from tests.support.processes import share_priority
 
     started = []
 
@@ -27,6 +28,7 @@ def start_firmware():
             start_new_session=True,
         )
         started.append(process)
+        share_priority(process.pid)
         assert select.select([process.stdout], [], [], 60)[0], "the firmware prints no port"
         return process, process.stdout.readline().strip()
 
