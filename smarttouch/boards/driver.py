@@ -287,8 +287,8 @@ class Line:
                     self._put_at_zero()
 
     def later(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
-        """Return a copy of a proved sequence with the later start ``due_ns``: for a repetition that
-        the host times, or after a wait for an earlier sequence.
+        """Return a copy of a proved sequence that starts later, at ``due_ns``. Drivers need copies
+        for repetitions that the host times, and after a wait for an earlier sequence.
 
         Raises
         ------

@@ -70,8 +70,8 @@ def measure_by_probes(
 
 
 def _from_pairs(probe: ScanSequence, volts: Array, compliance_v: float) -> Impedance:
-    """Return impedances from the voltages of electrode pairs, I (Zᵢ + Zⱼ), by least squares over
-    conducting pairs. An electrode without a conducting pair is open."""
+    """Return impedances from the voltages of electrode pairs, by least squares. The voltage of a
+    conducting pair is I (Zᵢ + Zⱼ). An electrode without a conducting pair is open."""
     level_ua = int(probe.current_ua.max(initial=0))
     conducts = volts < SATURATED * compliance_v
     pairs = (probe.current_ua[conducts] != 0).astype(np.float64)
@@ -80,7 +80,7 @@ def _from_pairs(probe: ScanSequence, volts: Array, compliance_v: float) -> Imped
 
 
 def judge(volts: Array, current_ma: float | Array, compliance_v: float) -> Impedance:
-    """Return impedances from the voltages of each electrode against all others, (E,).
+    """Return impedances. ``volts``, (E,), is the voltage of each electrode against all others.
 
     The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ). Iteration solves this equation for Z. It
     converges because the impedance of the parallel return path is small.

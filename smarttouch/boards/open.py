@@ -30,8 +30,8 @@ _WITHOUT_FINGER: dict[str, dict[str, Any]] = {
     "memory": {"on_a_finger": False, "claimed_time": True},
     "simulated": {"on_a_finger": False, "claimed_time": True, "simulated_time": True},
 }
-"""Arguments of `Board` for boards that no finger can touch. For other boards, including those
-of other packages, the defaults of `Board` apply: a finger may be on them."""
+"""Arguments of `Board` for the kinds of boards that no finger can touch. All other kinds keep the
+defaults of `Board`: a finger may be on the board."""
 
 
 def make_board(

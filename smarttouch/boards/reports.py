@@ -33,8 +33,8 @@ class Capabilities:
     acknowledges: bool = False
     """Whether the board reports the start of each sequence."""
     host_timed: bool = False
-    """Whether the host times each pass. If so, `Driver.write` reports each pass, and returns after
-    the last pass, or earlier if a newer sequence is waiting."""
+    """Whether the host times each pass. Then `Driver.write` reports each pass. It returns after the
+    last pass, or earlier if a newer sequence is waiting."""
     measures: bool = False
     """Whether the board measures the voltage of each slot."""
     force: bool = False
@@ -78,8 +78,8 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class BoardReport:
-    """Delivery report of a board since it was opened. If the board itself makes the report, its
-    maxima are those since the board was switched on."""
+    """Delivery report of a board since it was opened. If the board itself reports maxima, they
+    cover the time since power-on."""
 
     sequences: int
     slots: int
@@ -89,8 +89,8 @@ class BoardReport:
     max_current_ma: float
     max_charge_uc: float
     max_net_charge_uc: float
-    """Largest charge left on an electrode after a discharge. In a report by the host, the largest
-    net charge of an electrode, summed over all its pulses."""
+    """If the board reports: largest charge left on an electrode after a discharge. If the host
+    reports: largest net charge of an electrode over all pulses."""
     refused_packets: int = 0
     """Number of packets that the board refused because they were old or of another session."""
     is_busy: bool = False
@@ -115,7 +115,7 @@ class HostStatistics:
         self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None
     ) -> None:
         """Add ``times`` passes of a sequence. If ``most`` is given, the number of passes is between
-        ``times`` and ``most``. With ``again``, the sequence is already counted: add only passes."""
+        ``times`` and ``most``. With ``again``, the sequence itself is already counted."""
         most, old = times if most is None else most, self.report
         pulses = int(np.count_nonzero(sequence.current_ua))
         peaks_ua = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1) * (most > 0)

@@ -151,9 +151,9 @@ class RunEntry:
         return os.path.lexists(self._stop_file)
 
     def declare(self, current_ua: int, most_ua: int = 0) -> int:
-        """Record the current of this process and return the sum of all processes, µA. If the sum
-        exceeds ``most_ua``, record nothing. A current that is not larger than before is recorded
-        without a check, and returned instead of the sum."""
+        """Record the current of this process, µA, and return the sum over all processes. If the sum
+        exceeds ``most_ua``, record nothing. If the current is not larger than before, record and
+        return it without a check."""
         if current_ua <= self._run.current_ua:
             self._announce(current_ua)
             return current_ua

@@ -1,8 +1,8 @@
 """Shutdown of this process by a signal or by ``smarttouch stop``.
 
 A process has one entry in the run registry, for its open boards, its runs, and a command that will
-open a board. While there is an entry, SIGTERM, SIGHUP and Ctrl-C first set all boards to zero from
-a thread, whatever the main thread does, and then end the process.
+open a board. While there is an entry, SIGTERM, SIGHUP and Ctrl-C set all boards to zero and then
+end the process. A thread sets the boards to zero, even if the main thread is blocked.
 """
 
 import os
@@ -79,7 +79,7 @@ class _Process:
         try:
             if self.entry is None and not self.reason:
                 self.entry = RunEntry(self._stop_requested)
-            # Check after registering: the check finds stops that came too early to see the entry.
+            # Check for a stop only after registering: an earlier stop did not find this entry.
             if self.reason or self.entry is None or self.entry.is_asked or stopped_since_start():
                 raise BoardStoppedError(
                     f"this program was stopped by {self.reason or 'smarttouch stop'}, and can "
@@ -120,8 +120,8 @@ class _Process:
     def end(self, reason: str, *, for_good: bool = True) -> bool:
         """Set all boards to zero and ask all runs to end; return whether all boards have confirmed
         zero. With ``for_good``, no board can be opened afterwards."""
-        # Do not take the lock: a thread that waits for the disk may hold it. If another thread
-        # registers a board meanwhile, either `boards` contains it or, for good, `announce` fails.
+        # Do not take the lock: a thread that waits for the disk may hold it. Set `reason` before
+        # reading `boards`: if a board is registered after that, `announce` fails.
         if for_good:
             self.reason = self.reason or reason
         boards, entry = [*self.boards], self.entry
@@ -201,8 +201,8 @@ class _Signals:
             interrupt(RunStopped(self.number, _process.reason or None))
 
     def _set_wakeup(self, descriptor: int) -> bool:
-        """Let Python write the numbers of signals to ``descriptor``, unless an event loop
-        has set its own descriptor. Return whether the descriptor of this object was set before."""
+        """Let Python write the number of each signal to ``descriptor``, unless an event loop
+        already receives the numbers. Return whether this object already received them."""
         before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
         if before not in (-1, self._wakes.fileno()):
             signal.set_wakeup_fd(before)

@@ -1,8 +1,8 @@
 """Common parts of published kits: their current scale, and sequences for a single source.
 
 A measured scale may differ from the nominal one by 30 %. This tolerance covers the differences
-between boards of one kind, but detects mistakes: a different board of the family is off by a factor
-of 1.77 or more, a peak-to-peak value by 2, and a wrong unit by 1,000.
+between boards of one kind. It is small enough to detect a different board of the family (a factor
+of 1.77 or more), a peak-to-peak value (2) and a wrong unit (1,000).
 """
 
 import numpy as np
@@ -38,8 +38,9 @@ def steps_of(
     kind: str, scale_ua: float, limits: SafetyLimits, width_us: float, level_ua: NDArray[np.int64],
     electrode: NDArray[np.intp], counts: int = 1,
 ) -> NDArray[np.int64]:  # fmt: skip
-    """Convert the current of each slot, (S,) µA, to integer steps of ``counts`` counts. The
-    result keeps the limits of current and charge with ``scale_ua`` and with the nominal scale."""
+    """Convert the current of each slot, (S,) µA, to integer steps of ``counts`` counts each. The
+    result keeps the limits of current and charge with the measured scale ``scale_ua`` and with the
+    nominal scale."""
     most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
     # Without 1e-9, a rounding error could reduce a limit of exactly n steps to n - 1 steps.
     most = np.floor(most_ua / (counts * max(scale_ua, NOMINAL_UA[kind])) + 1e-9)[electrode]
@@ -47,9 +48,9 @@ def steps_of(
 
 
 def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Return the electrode that each slot drives against all others, (S,), and its current, (S,)
-    µA, positive cathodic. Raises BoardError for other kinds of slots, and if two slots drive
-    the same electrode."""
+    """Return two arrays, (S,): the electrode that each slot drives against all others, and its
+    current, µA, positive cathodic. Raises BoardError if a slot is of another kind, or if two slots
+    drive the same electrode."""
     current = sequence.current_ua.astype(np.int64)
     electrode = sequence.site.astype(np.intp)
     rows = np.arange(sequence.slots)

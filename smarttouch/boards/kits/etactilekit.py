@@ -3,10 +3,11 @@
 The wire format and safe dialogues are in `etactilekit_line`.
 
 The board reads its pattern when a scan starts. The driver loads a pattern, enables pulses for the
-requested number of scans, and stops pulses. A board does not report scans, but each scan changes
-its readings. If two queries return different readings, a scan started between them, and the times
-of all other scans follow (`ScanLock`). Before these times are known, and on a slow line, pulses are
-enabled for more than a period. Reports then state the smallest and largest number of scans.
+requested number of scans, and stops pulses. The board does not report scans, but each scan changes
+its readings. If two queries return different readings, a scan has started between them. `ScanLock`
+computes the times of all other scans from this. Before these times are known, and on a slow line,
+pulses are enabled for more than a period. Reports then state the smallest and largest number of
+scans.
 """
 
 import math
@@ -36,7 +37,7 @@ FIRMWARES = ("71adee2", "newest")  # known firmware versions, by commit
 NEWEST_ZERO_MS = 520.0  # newest firmware: time from the host's last byte to zero (timeout 500 ms)
 IDLE_S = 0.1  # time without a sequence after which zeros are loaded
 VOLTS_PER_COUNT = 0.0893
-DUMMY_KOHM = 66.0  # load in parallel with the skin; the load carries V / 66 kΩ
+DUMMY_KOHM = 66.0  # load in parallel with the skin, kΩ
 COMPLIANCE_V = 300.0  # voltage limit of the switches (HV513), so no reading is larger
 LONGEST_LOAD = 0.97  # largest share of a period that a scan may take
 OPEN_SHARE = 0.95  # the finger is lifted if all slots reach this share of the no-finger voltage
@@ -45,23 +46,22 @@ LOW, HIGH = 4, 12  # a reading below 4 (0.3 V) means no pulse; 12 (1 V) or more 
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
 WIDE_NS = 1_000_000  # if the start of a scan is more uncertain than this, a query locates the scan
 KEEP_NS = 100_000_000  # longest pause between queries: the newest firmware stops after 500 ms
-TOLERANCE = 200e-6  # largest relative difference of two clocks, each within 100 ppm
-WIDEST = 0.25  # largest uncertainty of a known scan start, relative to the period
+TOLERANCE = 200e-6  # largest relative difference between the clocks of host and board, 100 ppm each
+WIDEST = 0.25  # a scan start counts as known up to this uncertainty, relative to the period
 
 
 class ScanLock:
     """Earliest and latest start of each scan, calculated from brackets.
 
-    A bracket is a pair of times between which a scan has certainly started, even if the host was
-    delayed. The period gives the starts of all other scans, with a tolerance for the clocks.
+    A bracket is a pair of times. A scan has certainly started between them, even if the host was
+    delayed. The starts of all other scans follow from the period, with a tolerance for the clocks.
 
     Attributes
     ----------
     period_ns : int
         Period of the scans.
     last : Span or None
-        Earliest and latest start of the scan in the last bracket; None if unknown. This scan has
-        number 0, the scan after it number 1.
+        Earliest and latest start of scan 0, the scan in the last bracket; None if unknown.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -97,7 +97,7 @@ class ScanLock:
         )
 
     def learn(self, bracket: Span) -> None:
-        """Narrow the bounds by a bracket, unless several scans may have started in the bracket."""
+        """Update `last` from a bracket, unless several scans may have started in it."""
         if self.last is None:
             if bracket.late - bracket.early <= WIDEST * self.period_ns:
                 self.last = bracket
@@ -373,8 +373,8 @@ class ETactileKitDriver(Driver):
     # -- the scans of the board -----------------------------------------------
 
     def _ask(self, body: bytes, *, drives: ProvedSequence | None = None) -> Span | None:
-        """Send commands; return the earliest and latest time of execution, None after an error. If
-        a reading has changed since the last query, a scan took place: update `_lock`."""
+        """Send commands. Return the earliest and latest time of execution; None after an error.
+        Update `_lock` if the readings show a scan since the last query."""
         before, settings, self._before = self._before, self._settings, None
         if (answer := self._kit.exchange(body, ask=True, drives=drives)) is None:
             return None

@@ -12,12 +12,13 @@ On the wire (native USB, or TCP port 8080; little endian, no framing, no checksu
 This is the protocol of commit 71adee2 and later. Older firmware has no F4 and one height for all
 electrodes (FB); its FE N×u8 selects electrodes. Such boards are set to zero and rejected.
 
-If a byte of FE is lost, the next byte completes a pattern shifted by eight bits, with up to 41 mA.
-The driver therefore stops pulses before each change (by a mode without pulses, or zero height),
+If a byte of FE is lost, the next byte on the wire completes the pattern. Heights are then shifted
+by eight bits, and currents can reach 41 mA. Therefore the driver stops pulses before each change,
 sends a query after the change, and restarts pulses only after the answer. If a byte is lost, the
 board reads the query as data. Then there is no answer and no pulse, and the driver resets the
-parser. Numbers avoid bytes that look like commands. Zeros follow each 16-bit number: a lost byte
-makes it smaller, never larger. *Doubled* bytes are not detected, but do not occur on USB and TCP.
+parser. The driver avoids numbers with bytes that look like commands. Zeros follow each 16-bit
+number, so that a lost byte only makes it smaller. Doubled bytes are not detected, but do not occur
+on USB and TCP.
 """
 
 import contextlib
@@ -44,8 +45,7 @@ from smarttouch.boards.kits import watchdog
 from smarttouch.stimulation.safety_gate import ProvedSequence
 
 LARGEST = 1000
-"""Largest count that the driver sends, about 10 mA, even if the limits allow more. The firmware
-accepts 4095 counts, 41 mA."""
+"""Largest count that the driver sends, about 10 mA. The firmware accepts up to 4095, 41 mA."""
 FIRST_COMMAND = 0xF4
 SHORTEST_US = 7  # shortest pulse: switching takes 6.6 µs
 
@@ -70,9 +70,9 @@ class Settings:
         return outputs * (self.width_us + self.discharge_us + slot_extra_us)
 
     def commands(self, between_hz: int) -> bytes:
-        """Return the commands for the settings, each twice. Zeros follow each command: if a byte of
-        a 16-bit number is lost, the pulse may get shorter, but not longer. During the change the
-        scan rate is ``between_hz``, slow enough for scans with old and with new settings."""
+        """Return the commands for the settings, each twice. Zeros follow each command, so that a
+        lost byte never lengthens a pulse. During the change the scan rate is ``between_hz``. This
+        rate is slow enough for the old and the new settings."""
         once = (
             QUIET + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
             + b"\xf6" + between_hz.to_bytes(2, "little") + _END
@@ -91,9 +91,9 @@ AT_REST = (
     b"\xfc\0" + _END, NO_SENSE, b"\xfb\0\0" + _END, b"\xfa\x01\0" + _END,
     b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
 )  # fmt: skip
-"""Commands that set any published firmware to zero: no electrodes, no sense pulses, zero height (or
-mode 0 in newer firmware), shortest pulses, 10 scans per second. Other known boards take these
-bytes neither as a query nor as a pattern."""
+"""Commands that set any published firmware to zero. They set no electrodes, no sense pulses, zero
+height (mode 0 in newer firmware), the shortest pulses and 10 scans per second. Other known boards
+do not take these bytes as a query or as a pattern."""
 QUIET = b"\xfb\x02\xfb\x02"  # stops pulses at the next scan
 LOAD = b"\xfb\x02\xfe"  # stops pulses and begins a pattern
 GO = b"\xfb\0"  # starts pulses at the next scan
@@ -102,9 +102,9 @@ GO = b"\xfb\0"  # starts pulses at the next scan
 def zero_anywhere(outputs: int) -> bytes:
     """Return the bytes that set a board to zero in any state of its parser.
 
-    They stop sense pulses and all other pulses, and load zeros. They begin with zeros, which
-    complete an incomplete command and can only make its number smaller. There are more zeros than
-    necessary, because some may be lost.
+    Zeros first complete an incomplete command; they can only make its number smaller. Then the
+    bytes stop all pulses and load zeros. There are more zeros than necessary, because some may be
+    lost.
     """
     return bytes(2 * outputs + 4) + NO_SENSE + b"\xfb\x02\x02\x02\xfe" + bytes(2 * outputs)
 
@@ -149,8 +149,8 @@ class ETactileKitLine:
         line = self.line
         if not HAS_POSIX:
             raise BoardError(
-                "this board repeats its last pattern if its program hangs, and the watchdog "
-                "that sets it to zero needs Linux or macOS: on this computer, use simulated:"
+                "this board is safe only with a watchdog, which needs Linux or macOS: on this "
+                "computer, use a simulated board (simulated:)"
             )
         line.connect(name, self._watch)
         if line.reopened:
@@ -174,8 +174,8 @@ class ETactileKitLine:
     def _answers(
         self, query: bytes, *attempts: tuple[bytes, float], then: tuple[bytes, ...] = ()
     ) -> Iterator[bytes]:
-        """For each attempt, send its bytes and pause, to resynchronize the parser. Then send the
-        commands ``then`` and the query, and yield the first byte of the answer."""
+        """Yield the first byte of the answer to each attempt. An attempt first sends its bytes and
+        pauses, to resynchronize the parser. Then it sends the commands ``then`` and the query."""
         for data, pause_s in attempts:
             self.line.write(data)
             self.line.pause(pause_s)
@@ -184,8 +184,7 @@ class ETactileKitLine:
             yield self.line.ask(query, 1, CHIPS_S)
 
     def _identify(self) -> int:
-        """Set the board to zero, resynchronize its parser and set its number of electrodes; return
-        its number of outputs."""
+        """Set the board to zero and set its number of electrodes. Return its number of outputs."""
         line = self.line
         # An earlier host may have left an incomplete pattern. Only zeros complete it without
         # current. If zeros do not complete it, the board drops it during a pause.
@@ -236,9 +235,9 @@ class ETactileKitLine:
     def exchange(
         self, body: bytes, *, ask: bool = False, drives: ProvedSequence | None = None
     ) -> tuple[Span, Readings] | None:
-        """Send commands and wait for their execution; ``drives`` is the sequence that they start.
-        Return the time of execution, and the readings before it, (N,), in the order of outputs;
-        without ``ask``, no readings. After a wrong answer, resynchronize and return None."""
+        """Send commands and wait for their execution. Return the time of execution and, with
+        ``ask``, the readings before it, (N,), in the order of outputs. After a wrong answer,
+        resynchronize and return None. ``drives`` is the sequence that the commands start."""
         expected, begun_ns = 2 * self.outputs * ask + 1, self.line.now_ns()
         answer = self.line.ask(READINGS * ask + body + PING, expected, ECHO_S, drives)
         span = Span(begun_ns, self.line.now_ns())
@@ -266,14 +265,14 @@ class ETactileKitLine:
 
 BEAT_S = 0.02
 ENDS_WITHIN_S = 1.5  # longest wait until the watchdog has ended; its zero command may take 0.4 s
-BYTES_PER_MS = 92  # transmission on a serial line of 921,600 Bd
-KEPT_MS = 100.0  # longest time from the end or hang of this program to the watchdog's first byte
+BYTES_PER_MS = 92  # bytes that a serial line of 921,600 Bd transmits in 1 ms
+KEPT_MS = 100.0  # the watchdog begins to write within this time after this program ends or hangs
 STALE_NS = int(0.8e9 * watchdog.SILENCE_S)
-"""Age of the last heartbeat above which this program writes nothing. The watchdog waits longer
-before it sets the board to zero, so this program stops writing first."""
+"""This program writes nothing if its last heartbeat is older than this. The watchdog waits longer
+before it begins to write."""
 COMMAND = [sys.executable, "-I", "-S", watchdog.__file__]
-"""Command of the watchdog, in isolated mode, so that user settings or packages cannot prevent its
-start."""
+"""Command that starts the watchdog. Isolated mode ignores the settings and packages of the user,
+which could prevent the start."""
 
 
 class WatchedPort:

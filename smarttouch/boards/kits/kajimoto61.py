@@ -13,9 +13,9 @@ zero.
 A lost or doubled byte shifts one scan by one electrode. Neither board nor driver detects this. The
 second packet after this scan is correct again, because no intensity equals the start byte.
 
-After power-on the board tests its source until the first packet, which contains zeros. Zeros do not
-load the converter. The last value of the test, at most 1,024 counts or 2.5 mA, therefore flows for
-about 3 µs (8 nC) through the first electrode that pulses, once. No packet can prevent this.
+After power-on the board tests its source until the first packet. This packet contains zeros, which
+do not load the converter. Therefore the first pulse begins with the last current of the test, at
+most 2.5 mA, for about 3 µs (8 nC). No packet can prevent this.
 """
 
 from typing import ClassVar
@@ -38,7 +38,7 @@ WIDTH_US, REST_US = 50, 150
 LARGEST = 200
 COUNTS_PER_BYTE = 16
 HURRY = 20  # after a late packet, the next packet may follow 1/20 of a period early
-LEAD_S = 0.003  # delay added to all packets of a run, a reserve if this computer is slow
+LEAD_S = 0.003  # delay of all packets of a run, as a reserve if this computer is slow
 
 
 class Kajimoto61Driver(Driver):
@@ -93,7 +93,7 @@ class Kajimoto61Driver(Driver):
         )
 
     def zero(self) -> None:
-        # Zeros complete an incomplete packet. The packet of zeros then ends the self-test.
+        # The first zeros complete an incomplete packet. Then `ZERO` ends the self-test.
         self._line.write(bytes(ELECTRODES))
         self._line.pause(0.02)
         self._line.write(ZERO)
@@ -160,8 +160,8 @@ class Kajimoto61Driver(Driver):
                     f"this computer was too slow: {self._skipped} sequences were skipped"
                 )
                 self._skipped, self._note_ns = 0, sent_ns + 60_000_000_000
-            # After a late packet, delay all later packets, because catching up would exceed the
-            # proved rate. A packet may be early by 1/20 of a period: the board has this margin.
+            # After a late packet, delay all later packets: catching up would exceed the proved
+            # rate. A packet may be early by 1/20 of a period, which is the margin of the board.
             next_ns = max(next_ns + period_ns, sent_ns + period_ns - period_ns // HURRY)
             self._period_ns = period_ns
         self._next_ns = next_ns

@@ -28,9 +28,9 @@ VOLT = 100  # counts per volt in VOLTAGES
 SWITCH_OPEN = 1  # bit of the state: the emergency switch is open
 SILENCE_MS = 100
 ALIVE_MS = 20
-LATE_MS = 250  # largest allowed age of the newest ALIVE that a host's packet confirms
+LATE_MS = 250  # a packet is late if the newest ALIVE that it confirms is older than this
 LONGEST_PACKET_MS = 1000  # longest time for which an incomplete packet counts as a sign of life
-HALF = 2**32 - 1  # mask of the lower half of a session number, which the host draws
+HALF = 2**32 - 1  # mask of the lower half of a session number; the host draws this half
 Output = Literal["weighted", "three-state", "one-against-all"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 
@@ -54,14 +54,13 @@ stored and valid, and the proof for this session."""
 ACK = struct.Struct("<Q")  # start of the sequence by the board's clock, µs
 NAK = struct.Struct("<BBHHii")  # reason, rule, slot, electrode, value, allowed value
 REPORT = struct.Struct("<IIQIIIIBIIIII")
-"""Payload of REPORT. Numbers: sequences, slots, pulses, violations. Largest values: current µA,
-charge pC, residual charge pC. Numbers: executing and waiting sequences, old packets, packets of
-other sessions. Largest net charge within 1 s pC. Session: seconds with current, charge µC."""
+"""Payload of REPORT. The table of packets in ``firmware/PROTOCOL.md`` describes its fields."""
 NOTHING = 0xFFFF  # value of slot or electrode in a NAK, if there is none
 
 
 def digest_of(data: bytes, session: int | None = None) -> bytes:
-    """Return the digest that identifies kernels; with ``session``, a digest that proves storage."""
+    """Return the digest that identifies kernels. With ``session``, return the digest by which a
+    board proves that it stores the kernels."""
     head = b"" if session is None else session.to_bytes(8, "little")
     return hashlib.sha256(head + data).digest()[:16]
 

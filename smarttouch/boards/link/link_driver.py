@@ -32,17 +32,17 @@ from smarttouch.stimulation.scan_sequence import KernelTable
 
 HEARTBEAT_S = 0.03  # longest time without a packet of the host; the board's timeout is 0.1 s
 SILENCE_S = 0.5  # silence after which a board is lost: in a session, boards send every 20 ms
-LISTENED_S = 0.1  # largest silence counted for one read; a longer read means a paused computer
+LISTENED_S = 0.1  # a longer read counts only as this silence: this computer has paused
 ANSWER_S = 1.0
 ASKED_AGAIN_S = 0.25  # time after which a query is sent again
-PAUSED_S = 1.0  # time after a pause of this computer in which refusals are blamed on the pause
+PAUSED_S = 1.0  # a refusal this soon after a pause of this computer is blamed on the pause
 LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
-AFTER_ZERO_S = 0.02  # time after a confirmed stop in which no slot may follow: a period at 50 Hz
+AFTER_ZERO_S = 0.02  # wait for forbidden slots after a confirmed stop: a period at 50 Hz
 MOST_COMPLIANCES = 2.1  # largest valid ratio of slot voltage to compliance: two sources reach 2
 OPEN_SHARE = 0.97  # if all voltages reach this share of the compliance, the finger is lifted
 _PIECE = 1024  # bytes of kernels per packet; longer packets would block the line too long
-_IDLE = 3  # number of packets without progress after which storing kernels has failed
+_IDLE = 3  # storing kernels has failed after this number of packets without progress
 _COUNTED = "sequences", "slots", "pulses", "violations", "refused_packets"
 
 
@@ -194,7 +194,7 @@ class LinkSession:
             self.paused_at_s = self.written_s
 
     def fail(self, fault: BoardError) -> None:
-        """Store a fault, unless an earlier one is stored; the next call raises the stored fault."""
+        """Store a fault for the next call to raise. Keep an earlier fault."""
         with self.news:
             self.fault = self.fault or fault
             self.news.notify_all()
@@ -264,9 +264,9 @@ class LinkSession:
         return True
 
     def start_ns(self, board_us: int, sent_ns: int, now_ns: int) -> int:
-        """Return the start of a sequence by the host's clock. ``board_us`` is the start by the
+        """Return the start of a sequence by the host's clock, ns. ``board_us`` is the start by the
         board's clock, ``sent_ns`` the time of sending, ``now_ns`` the time of the answer. The
-        fastest of the last 16 answers gives the offset of the clocks."""
+        offset between the clocks comes from the fastest of the last 16 answers."""
         if self._ahead_ns and 1000 * board_us + min(self._ahead_ns) < sent_ns:
             # The start seems to be before the sending, so the board's clock has paused.
             self._ahead_ns.clear()
@@ -432,8 +432,8 @@ class LinkDriver(Driver):
     # -- the session ---------------------------------------------------------
 
     def _take_offer(self, answer: Message) -> None:
-        """Accept a board's capabilities if they fit the profile and, after a lost connection, equal
-        the earlier ones. A wrong board receives only HELLO."""
+        """Check and store a board's capabilities. They must fit the profile. After a lost
+        connection, they must be unchanged. A wrong board receives only HELLO."""
         name, before = self._line.name, self.can if self._line.reopened else None
         if answer.version != VERSION:
             raise BoardError(
@@ -490,7 +490,7 @@ class LinkDriver(Driver):
         image = encoding.KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
         piece = min(_PIECE, can.packet_bytes - encoding.OVERHEAD - protocol.KERNELS.size)
         at, furthest, data, idle = 0, 0, b"", 0
-        # Send only what the board has not stored. If it stores nothing new, it counts as lost.
+        # Send only what the board lacks. If it stores nothing new, the packet counts as lost.
         while idle < _IDLE:
             head = protocol.KERNELS.pack(image.identity, len(image.data), at)
             answer = self._session.ask(MessageKind.KERNELS, head + data).payload

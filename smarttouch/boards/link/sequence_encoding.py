@@ -33,7 +33,7 @@ class KernelImage:
     """Kernels of a run, encoded for a board."""
 
     table: KernelTable
-    count: int  # number of kernels that fit on the board: the first ones of the table
+    count: int  # number of kernels that fit on the board, from the start of the table
     data: bytes
     identity: bytes
 
@@ -109,9 +109,9 @@ class _Columns(NamedTuple):
 
     shapes: bytes  # table of pulse shapes
     keys: list[tuple[int, int]]  # kind and index into `shapes` of each slot
-    first: list[int]  # index of each slot's first pair in ``pairs``; last item: number of pairs
+    first: list[int]  # index in ``pairs`` of each slot's first pair; then the number of pairs
     pairs: bytes  # pairs of kernel and amplitude
-    rows: bytes  # of each slot: site and currents; for one source, see `_switched_rows`
+    rows: bytes  # site and currents of each slot; for one source, see `_switched_rows`
 
 
 def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) -> _Columns:
