@@ -30,7 +30,7 @@ BOARDS = {"link": (64, 1, 4096), "kajimoto61": (61, 61, 61), "etactilekit": (32,
 """Number of electrodes of each kind of board: default, minimum and maximum."""
 SENSORS = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
 """Default number of measurements per second of each kind of sensor, Hz."""
-COUNTS_PER_N, ZERO_COUNTS = 50_000.0, 80_000.0  # of a load cell: scale, and reading at 0 N
+COUNTS_PER_N, ZERO_COUNTS = 50_000.0, 80_000.0  # load cell: counts per newton, and reading at 0 N
 _NOISE_COUNTS, _LARGEST_RAW = 60.0, 2**23 - 1
 _LONGEST_WAIT_S = 0.02
 _BEHIND_NS = 100_000_000  # longest delay after which a sensor still sends missed measurements
@@ -148,8 +148,8 @@ class Server:
         """Print instructions or the port's name; run until SIGTERM or ``linger_s`` without a host.
 
         With an infinite ``linger_s``, Ctrl-C ends the device. With a finite ``linger_s``, Ctrl-C is
-        meant for the host, and the device ignores it while a host is connected; after SIGHUP, the
-        device ends as soon as no host is connected.
+        meant for the host: the device ignores Ctrl-C while a host is connected. SIGHUP then ends
+        the device as soon as no host is connected.
         """
         ended, host_ns = False, _FIRST_HOST_S * 1e9
 

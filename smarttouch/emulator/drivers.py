@@ -35,7 +35,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 _HEARTBEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest pause between packets of the host
 _STEP_NS = 20_000  # step by which simulated time advances while the host waits for an answer
 _LONGEST_GAP_NS = 1000 * (link_rules.KEPT_US + link_rules.SECOND_US)
-"""Longest simulated pause between sequences; longer pauses count as this long. After this pause,
+"""Longest simulated pause between sequences: longer pauses are shortened to this. After this pause,
 the ramp has restarted, and the limits per second count no earlier pulse."""
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
@@ -161,7 +161,7 @@ class SimulatedDriver(LinkDriver):
         """Return the simulated time at which a sequence with this time stamp begins, ns."""
         now_ns, before_ns, self._stamp_ns = self._session.now_ns(), self._stamp_ns, stamp_ns
         if not self._number or stamp_ns < before_ns:
-            # Begin now if this is the first sequence, or has an earlier time stamp than the last.
+            # Begin now: the sequence is the first, or its time stamp is earlier than the last one.
             self._ahead_ns = stamp_ns - now_ns
         gap_ns = stamp_ns - self._ahead_ns - now_ns
         self._ahead_ns += max(0, gap_ns - _LONGEST_GAP_NS)
@@ -202,8 +202,8 @@ class MemoryDriver(Driver):
 
 _STARTS_WITHIN_S = 30.0  # time limit for the start of the process, which busy computers delay
 _ENDS_WITHIN_S = 3.0
-_FIRST_HOST_S = 5.0  # largest age at which a process without a host is used: it ends after 8 s
-_ANSWERS_WITHIN_S = 5.0  # longest silence of the board: a busy computer delays the emulator
+_FIRST_HOST_S = 5.0  # an older process without a host is not used: it ends after 8 s
+_ANSWERS_WITHIN_S = 5.0  # longest silence of the board, because a busy computer delays the emulator
 
 
 class EmulatorDriver(LinkDriver):
@@ -247,7 +247,7 @@ class EmulatorDriver(LinkDriver):
 
 
 class EmulatorProcess:
-    """Process that emulates the board of a URL of the module `devices`.
+    """Process that emulates a board. The module `devices` describes its URL.
 
     The constructor starts the process without waiting; `port` waits until it has started. The
     process ends when its host has gone, or when this object is deleted."""

@@ -1,17 +1,17 @@
 """Emulated firmware of the eTactileKit, with the bytes, scans and faults of the real firmware.
 
 The firmware checks nothing: a wrong byte causes a wrong current. Settings that arrive during a scan
-apply to the next scan. A pulse of width 0 still lasts 6.6 µs, the time to switch the source on and
+apply to the next scan. A pulse of width 0 lasts 6.6 µs, because the source must be switched on and
 off. The answer to READINGS has the last voltage of each electrode.
 
 The firmware of commit 71adee2 does not parse commands during a scan. If a scan takes longer than
 its period, the next scan follows immediately, and the parser never runs again. Without a host, this
 firmware repeats its last pattern forever. The newest firmware parses commands on a second core.
-Half a second after it has lost the host, it sets all amplitudes to zero. The real board loses the
-host when the host closes the USB port; this emulator counts the half second from the last byte.
+Half a second after the host has gone, it sets all amplitudes to zero. On the real board, the host
+has gone when it closes the USB port. This emulator counts from the last byte.
 
-Two assumptions are not in the published source. Between pulses, outputs are grounded if the
-discharge time is above 0, else unconnected. Outputs beyond the electrode count are unconnected.
+Two assumptions are not in the published source. Between pulses, outputs are grounded; if the
+discharge time is 0, they are unconnected. Outputs beyond the electrode count are unconnected.
 """
 
 import math

@@ -45,8 +45,8 @@ class DeliveryLog:
     max_volts: float = 0.0  # largest voltage between the poles of a source
     recharges: int = 0  # number of recharge phases, which do not count as slots or pulses
     passed_uc: NDArray[np.float64] = field(init=False)
-    """Net charge that sources have driven through each electrode, (E,), positive cathodic: in
-    pulses and recharge phases, but not while electrodes are shorted."""
+    """Net charge of each electrode from pulses and recharge phases, (E,), positive cathodic. Charge
+    that flows while electrodes are shorted does not count."""
     state: str = "shorted"
     reason: str = "start"
     zero_after_ms: float = 0.0  # time from the host's last sign of life to the last stop
@@ -69,9 +69,8 @@ class DeliveryLog:
         more: bool = False,
     ) -> None:
         """Record one pulse of a slot. ``residual_uc``, (E,), is the charge left on each electrode
-        after the discharge; ``time_us`` is the start of the pulse on the board's clock; ``more``
-        means that another pulse of the slot follows. The slot number `RECHARGE` marks a recharge
-        phase, complete or cut short."""
+        after the discharge. ``time_us`` is the start of the pulse by the board's clock. With
+        ``more``, another pulse of the slot follows. Slot `RECHARGE` is a recharge phase."""
         recharges = slot == RECHARGE
         magnitude_ua = np.abs(delivered.current_ua)
         peak_ua = float(magnitude_ua.max(initial=0))
@@ -186,9 +185,8 @@ class Firmware(ABC):
 
 
 class DeviceClock:
-    """Clock of an emulated device, ns from 0. If the process is delayed, the clock advances by at
-    most ``longest_step_ns`` and then stands still: hardware has no such delays, so they must not
-    cause a host timeout or lengthen pulses."""
+    """Clock of an emulated device, ns from 0. If this process is delayed, the clock advances by at
+    most ``longest_step_ns`` and then stands still. So a delay causes no host timeout."""
 
     def __init__(self, longest_step_ns: int = Firmware.longest_step_ns) -> None:
         self._longest_step_ns = longest_step_ns

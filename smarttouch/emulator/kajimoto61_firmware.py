@@ -2,9 +2,9 @@
 
 The firmware checks nothing, waits forever for the rest of an incomplete packet, and its readings
 wrap around. From power-on until the first STIMULATE, it tests its current source without driving an
-electrode, and answers MEASURE. The D/A converter keeps the last value of the test until the first
-pulse; a STIMULATE of zeros causes no pulse. If STIMULATE causes the first pulse, this pulse begins
-with the current of the test, until the converter has loaded the pulse's own value.
+electrode, and answers MEASURE. A STIMULATE of zeros causes no pulse. The D/A converter keeps the
+last value of the test until the first pulse. If STIMULATE causes this pulse, it begins with the
+kept value, until the converter has loaded the value of the pulse.
 """
 
 from collections import deque
@@ -22,7 +22,7 @@ WIDTH_US, GROUNDED_US, SWITCHING_US = 50, 150, 8
 TEST_UA = 898 * 10_000 / 4096  # last current of the self-test
 LOADING_US = 3  # time in which the D/A converter loads a value
 MEASURE_UA, MEASURE_US = 2500, 25
-MEASURE_NS, WIRE_NS = 1_400_000, 670_000  # time from MEASURE to the reply; duration of the reply
+MEASURE_NS, WIRE_NS = 1_400_000, 670_000  # delay and duration of the reply to MEASURE
 BUFFER = 384  # bytes buffered during a scan: 128 in the chip, 256 in its driver (an estimate)
 
 
@@ -144,7 +144,7 @@ class Kajimoto61Firmware(KitFirmware):
             self.books.sequences += 1
 
     def _connect_early(self, scan: _Scan, electrode: int, start_ns: int) -> int:
-        """Deliver the self-test's current, which the converter holds; return the duration, ns."""
+        """Deliver the self-test current that the converter keeps; return its duration, ns."""
         self._pulse(
             scan.number, electrode, -self._loaded_ua, LOADING_US, start_ns, among=ELECTRODES,
             rest_us=0, grounded=False, more=True,

@@ -121,8 +121,8 @@ class BoardSession:
     def _refusal_of(self, message: Message, began_ns: int) -> Refusal | None:
         if message.version != VERSION or not self.number or message.session != self.number:
             return Refusal.FOREIGN
-        # An ALIVE packet is stale if it was sent over `LATE_MS` before this packet began. This
-        # packet is late if the newest packet that the host has received is a stale ALIVE, or older.
+        # A packet is late if the host has received nothing newer than a stale ALIVE. An ALIVE is
+        # stale if it was sent over `LATE_MS` before this packet began.
         stale = (number for sent_ns, number in self._alive if sent_ns < began_ns - LATE_MS * _MS)
         # STOP is never late: it must work even if the host receives nothing.
         late = message.kind != MessageKind.STOP and message.heard <= max(stale, default=-1)

@@ -34,14 +34,14 @@ MAX_RECHARGE_UA = 500
 the board does not know the detection thresholds."""
 MAX_RECHARGE_US = 20_000
 MAX_RECHARGE_PC = 2_000_000
-STRENGTH = 4  # largest ratio of strength to ``share``; see `SessionLimits.strength` for both
+STRENGTH = 4  # largest ratio of strength to ``share``, see `SessionLimits.strength`
 BUCKET_US = 50_000
 BUCKETS = 20  # number of buckets in the last second, in addition to the current bucket
 SECOND_US = 1_000_000
 MOST_CHARGE_PC = 500_000_000
 MOST_NET_PC = 50_000_000
 RAMP_MS = 500  # shortest time from zero to full intensity
-CATCH_UP_US = 150_000  # time by which a sequence may be ahead of the ramp: packets can be late
+CATCH_UP_US = 150_000  # a sequence may be ahead of the ramp by this time: packets can be late
 KEPT_US = 15_000_000  # time without current after which the ramp restarts
 _LEEWAY = 2  # tolerance for the rounding of an intensity, in units of 1/65,535
 
@@ -133,9 +133,9 @@ class SessionLimits:
         )  # fmt: skip
 
     def strength(self, intensity: int, peak_pc: int) -> int:
-        """Return the strength of a sequence, which the ramp limits. The strength is the intensity,
-        but at least ``share``, at most `STRENGTH` times ``share``, and at most `FULL`. ``share``
-        is ``peak_pc`` relative to the charge of a full pulse."""
+        """Return the strength of a sequence, which the ramp limits. ``share`` is ``peak_pc``
+        relative to the charge of a full pulse. The strength is the intensity, but at least
+        ``share``, and at most `STRENGTH` times ``share``. It never exceeds `FULL`."""
         share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
         return min(FULL, max(share, min(intensity, STRENGTH * share)))
 
@@ -163,8 +163,8 @@ class LastSecond:
         self.session: NDArray[np.int64] = self._none  # (3, E): sum of `Load.each` in the session
 
     def begin(self, start_us: int, period_us: int, load: Load, goes_on: bool) -> None:
-        """Add a pass that begins at ``start_us``. If it continues a scan (``goes_on``), do
-        not count its start and period: the first part of the scan has counted them."""
+        """Add a pass that begins at ``start_us``. With ``goes_on``, the pass continues a scan. The
+        start and period of the scan are already counted."""
         if not goes_on:
             self._starts_us.append(start_us)
             self.session_us += period_us * (load.busy_us > 0)
@@ -186,7 +186,7 @@ class LastSecond:
             self._running = None
 
     def _in_window(self, start_us: int) -> NDArray[np.int64]:
-        """Return `Load.each` of the passes in the last second, (N, 3, E), the latest first."""
+        """Return `Load.each` of the N passes in the last second, latest first, (N, 3, E)."""
         first = start_us // BUCKET_US - BUCKETS
         loads = [] if self._running is None else [self._running]
         loads += [load for bucket, load in reversed(self._over) if bucket >= first]
@@ -232,7 +232,8 @@ class LastSecond:
 
 
 def _most_net(window: NDArray[np.int64], net_pc: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Try all k >= 0: return the largest |``net_pc`` + net charge of the latest k passes|, (E,)."""
+    """Return the largest absolute net charge of each electrode, (E,). The net charges are
+    ``net_pc`` plus those of the latest k passes, for k = 0, 1, 2 and so on."""
     runs = np.cumsum([net_pc, *window[:, 2]], axis=0)
     return np.asarray(np.abs(runs).max(axis=0))
 
@@ -248,7 +249,7 @@ class Ramp:
         self.restart(ramp_ms)
 
     def restart(self, ramp_ms: int) -> None:
-        """Restart at zero intensity. The ramp time of the constructor is used if it is longer."""
+        """Restart at zero intensity. Use the longer ramp time, ``ramp_ms`` or the constructor's."""
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
         self._level = self._strength = self._since_us = self._span_us = 0
 
@@ -324,8 +325,8 @@ class LinkRules:
             self._ramp.restart(0 if self.limits is None else self.limits.ramp_ms)
 
     def check(self, sequence: ReceivedSequence, start_us: int, real_us: int) -> BrokenRule | Load:
-        """Compute the currents of kernels; return the first violation, or the load of one pass. The
-        first pass begins at ``start_us``, or ``real_us`` on a clock that never stands still."""
+        """Compute the currents of kernels. Return the first violation, or the load of one pass. The
+        first pass begins at ``start_us``, or ``real_us`` by a clock that never stands still."""
         scan, limits = self._scan, self.limits
         if not sequence.goes_on:
             scan = _Scan(sequence, real_us, copy(self._ramp), self._none)
@@ -423,8 +424,8 @@ class LinkRules:
         return first_above(rule, values[slot], allowed, slot)
 
     def _fill_in(self, sequence: ReceivedSequence) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Compute currents and sites of kernel slots. Return two numbers for each slot: its first
-        kernel that is not stored, or -1 if all are stored; and the sum of its amplitudes."""
+        """Compute currents and sites of kernel slots. Return two arrays, (S,): the first kernel of
+        each slot that is not stored, or -1; and the sum of the slot's amplitudes."""
         keep, (slot, kernel, amplitude) = self.keep, sequence.pairs.T
         missing, sums = np.full((2, sequence.slots), [[-1], [0]], np.int64)
         np.add.at(sums, slot, amplitude)

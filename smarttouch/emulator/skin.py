@@ -43,13 +43,12 @@ COMPLIANCE_V = 300.0
 _CONSTANT = (1, 1.0, 1.0)
 _SHARED = (6, 1.3, 0.6)
 _CAPPED = (24, 1.15, 1.0)
-"""Time steps in which a pulse is computed: number of steps; length of each relative to the step
-before; point of a step for which the current is computed (0: its start; 1: its end).
-Results differ by at most 3 % from results with fine steps."""
+"""Time steps of a pulse: number of steps; length of each step relative to the step before; instant
+of a step for which the current is computed (0: its start, 1: its end). Fine steps change results by
+at most 3 %."""
 _SHORT_STEPS, _SHORT_GROWTH = 3, 3.0
-"""Time steps in which the discharge of shorted electrodes is computed: number of steps; length of
-each relative to the step before. If electrodes differ by up to 15 %, the error of the remaining
-charge is below 1 % of the initial charge."""
+"""Time steps of a discharge: number of steps; length of each step relative to the step before. If
+electrodes differ by up to 15 %, the error is below 1 % of the initial charge."""
 _LONGEST_SHORT_US = 2000.0
 _MOST_WIDTHS = 64
 
@@ -66,10 +65,10 @@ class Delivered:
 
 
 class _Steps(NamedTuple):
-    """K time steps into which a pulse is divided. Arrays are (K,) or (K, E). The current I of an
-    electrode is constant during a step, and changes the voltage of the electrode's capacitor from v
-    to v·decay + I·rise_ohm. I is solved at one instant of the step, at which the electrode has the
-    voltage v·late + I/admittance. A last step of length 0 gives I at the end of the pulse."""
+    """The K time steps of a pulse. Arrays are (K,) or (K, E). During a step, the current I of an
+    electrode is constant. It changes the voltage v of the electrode's capacitor to v·decay +
+    I·rise_ohm. I is solved at one instant of the step. At this instant, the voltage of the
+    electrode is v·late + I/admittance. A last step of length 0 gives I at the end of the pulse."""
 
     length_s: NDArray[np.float64]
     decay: NDArray[np.float64]
@@ -108,7 +107,7 @@ class SkinCircuit:
 
     def pulse(self, current_ua: NDArray[np.float64], width_us: float) -> Delivered:
         """Drive each electrode by its own source, (E,), for ``width_us``. The compliance voltage
-        limits currents. If the totals of the poles differ, the larger one is scaled down."""
+        limits currents. If anodic and cathodic sums differ, the larger currents are scaled down."""
         asked_ua = _balance(np.asarray(current_ua, np.float64))
         amps = asked_ua * 1e-6
         steps = self._steps_of(width_us, *_CONSTANT)
@@ -144,9 +143,9 @@ class SkinCircuit:
         width_us: float,
         shunt_ohm: float = np.inf,
     ) -> Delivered:
-        """Drive one source for ``width_us``. Its current divides among the electrodes of each pole
-        by their impedances. ``state``, (E,), is 1 for cathode, −1 for anode, 0 for insulated; no
-        current flows without both poles. ``shunt_ohm`` is a load in parallel with the skin."""
+        """Drive one source for ``width_us``. ``state``, (E,), is 1 for cathode, −1 for anode, 0 for
+        insulated; no current flows without both poles. Within a pole, the current divides by the
+        impedances of the electrodes. ``shunt_ohm`` is a load in parallel with the skin."""
         poles = np.array([state > 0, state < 0])
         if not poles.any(axis=1).all() or not width_us:
             self.idle(width_us)
@@ -184,11 +183,12 @@ class SkinCircuit:
         )
 
     def short(self, duration_us: float) -> None:
-        """Short all electrodes: each capacitance discharges through R_p, and through R_s into a
-        common node. In a time step, the node has a constant voltage and takes up no net charge."""
+        """Short all electrodes. Each capacitance discharges through R_p, and through R_s into a
+        common node. During a time step, the node keeps a voltage at which it takes up no net
+        charge."""
         if duration_us < 1e-6:
             return
-        # After `_LONGEST_SHORT_US`, many time constants, the remaining charge is negligible.
+        # `_LONGEST_SHORT_US` is many time constants, so the remaining charge is negligible.
         level, steps = self._shorts_of(min(duration_us, _LONGEST_SHORT_US))
         for lost, weights in steps:
             self._volts = self._volts + lost * (level * (weights @ self._volts) - self._volts)
@@ -197,8 +197,9 @@ class SkinCircuit:
         self, duration_us: float
     ) -> tuple[NDArray[np.float64], list[tuple[NDArray[np.float64], NDArray[np.float64]]]]:
         """Return ``level`` and, for each step, ``lost`` and ``weights``. Capacitors approach
-        ``level`` times the node's voltage; a step removes the fraction ``lost`` of the difference.
-        The node's voltage is the sum of the capacitors' voltages times ``weights``."""
+        ``level`` times the voltage of the node. A step removes the fraction ``lost`` of the
+        difference. The voltage of the node is the sum of ``weights`` times the capacitor
+        voltages."""
         series = 1 / self.series_ohm
         rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
         level = series / (rate * self.capacitance_f)
