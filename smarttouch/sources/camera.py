@@ -25,7 +25,7 @@ _MANUAL_EXPOSURE = 1
 _BELIEVED_AGE_NS = 2_000_000_000
 _MOST_PIXELS = 100_000_000
 _BACKENDS = {"linux": cv2.CAP_V4L2, "darwin": cv2.CAP_AVFOUNDATION}
-"""Backend of OpenCV by platform: other backends could open a camera's name as a file or URL."""
+"""Backend of OpenCV by platform. Other backends could take a camera's name as a file or URL."""
 
 
 def open_camera(
@@ -74,7 +74,7 @@ def _format(capture: cv2.VideoCapture) -> tuple[int, int, float]:
 
 
 class CameraDevice(ImageDevice):
-    """Camera that delivers gray images. Adds a note for each setting that it does not accept."""
+    """Camera that delivers gray images. It adds a note for each setting that the camera refuses."""
 
     def __init__(
         self,

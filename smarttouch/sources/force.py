@@ -32,8 +32,8 @@ class ForceSource(Device, ABC):
     """Base class of sources of finger force."""
 
     is_live: ClassVar[bool] = True
-    """Whether the force is that of a real finger that presses now, measured or stated by the user.
-    A board that a finger can touch gets current only with a live force."""
+    """Whether a real finger presses now with this force, measured or stated by the user. Without
+    such a force, a board that a finger can touch gets no current."""
 
     @abstractmethod
     def read(self, time_ns: int) -> float:
@@ -83,11 +83,11 @@ class FixedForce(ForceSource):
         return self._force_n
 
 
-FRESH_S = 0.35  # age up to which a reading is valid: load cells send at least ten a second
+FRESH_S = 0.35  # a reading is valid up to this age: load cells send at least ten readings a second
 FROZEN_READINGS = 20
-FROZEN_S = 2.0  # duration of equal readings that counts as a fault: working converters are noisy
+FROZEN_S = 2.0  # equal readings for this time are a fault, because working converters are noisy
 SATURATED = (float(-(2**23)), float(2**23 - 1))
-"""Lowest and highest reading of an HX711: its load cell is overloaded or not connected."""
+"""Extreme readings of an HX711. They mean that its load cell is overloaded or not connected."""
 
 
 class CellWatch:

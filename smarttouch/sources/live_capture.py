@@ -79,10 +79,10 @@ JOIN_S = 2.0  # longest wait for the end of the thread, which hangs if the devic
 
 
 class LiveSource(OpticalSource):
-    """Source of the newest image of a device: a thread grabs images, and `read` returns the newest.
+    """Source of images of a live device. A thread grabs images, and `read` returns the newest.
 
-    The first `read` starts the thread; earlier images are lost. The pose is the sum of the motions
-    from each image to the next, including images that are never read; it starts at (0, 0).
+    The first `read` starts the thread; earlier images are lost. The pose starts at (0, 0). It is
+    the sum of the motions between all images, including images that are never read.
 
     Parameters
     ----------

@@ -16,8 +16,8 @@ from smarttouch.base.files import MOST_ARRAY_BYTES, open_file
 from smarttouch.profile import Optics, Profile
 from smarttouch.sources.source_contract import Pose
 
-DEAD_SHARE = 0.25  # response to light, relative to the median pixel, below which a pixel is dead
-HOT_LEVELS = 24.0  # gray levels above the median dark level at which a pixel is hot
+DEAD_SHARE = 0.25  # a pixel is dead if its response to light is below this share of the median
+HOT_LEVELS = 24.0  # a pixel is hot if its dark level is above the median by this, gray levels
 LEAST_SPAN = 40.0  # smallest difference between the gray levels of white paper and darkness
 SATURATED = 254.0
 MOST_SATURATED = 0.01
@@ -146,11 +146,11 @@ FINER = 2
 """Factor by which `Matcher` enlarges images, unless a side would exceed `MOST_PIXELS`. Without
 this enlargement, sensors of 16 x 16 pixels lose 80 % of the accuracy."""
 LEAST_SLOPE = 6.0
-"""Mean squared gradient, (levels/pixel)², below which a direction has no visible print: noise of 2
-levels and uneven light cause about 1.5."""
-MOST_UNEXPLAINED = 0.25  # largest share of the variance that a valid shift leaves unexplained
+"""A direction has no visible print if its mean squared gradient, (levels/pixel)², is below this.
+Noise of 2 levels and uneven light cause about 1.5."""
+MOST_UNEXPLAINED = 0.25  # a valid shift leaves at most this share of the variance unexplained
 _STEPS = 6
-_CLOSE = 0.02  # step, in pixels, below which the iteration has converged
+_CLOSE = 0.02  # the iteration has converged if a step is below this, pixels
 _LONGEST_STEP = 4.0
 _LEAST_OVERLAP = 0.5  # smallest overlap of two images, relative to each side
 _FEWEST_COMMON = 2
@@ -223,8 +223,8 @@ class Matcher:
         return float(x), float(y)
 
     def _slopes(self, common: Common) -> tuple[Floats, Image]:
-        """Return the K directions in which a shift is visible, (K, 2), and the derivatives of gray
-        levels with respect to a shift in each direction and to 3 patterns of light, (K + 3, N)."""
+        """Return the K directions in which a shift is visible, (K, 2). Also return derivatives of
+        gray levels, (K + 3, N): by a shift in each direction, and by 3 patterns of light."""
         along_x, along_y = (
             np.asarray(cv2.Sobel(self._before, cv2.CV_32F, *way, ksize=3, scale=1 / 8)[common])
             for way in ((1, 0), (0, 1))
@@ -239,8 +239,8 @@ class Matcher:
         return steep, (slopes - slopes.mean(axis=1, keepdims=True)).astype(np.float32)
 
     def _rest(self, shift: Floats, common: Common) -> tuple[Image, float]:
-        """Undo a shift. Return the difference that remains between the images, (N,) levels, with
-        mean 0, and the variance of this difference relative to the variance of the images."""
+        """Undo a shift. Return the remaining difference of the images, (N,) levels with mean 0.
+        Also return the variance of this difference, relative to the variance of the images."""
         to_now = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
         undone = cv2.warpAffine(
             self._image, to_now, self.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
@@ -253,8 +253,8 @@ class Matcher:
         return rest, float(rest @ rest) / rest.size / (contrast + _NOISE)
 
     def _begin(self) -> Shift | None:
-        """Return the shift at which iteration starts; None if no correlation is positive. Of the
-        last shift, zero and `_largest_covariance`, take the one with the highest correlation."""
+        """Return the shift at which iteration starts: the last shift, zero or
+        `_largest_covariance`, by the highest correlation. None if no correlation is positive."""
         far = _largest_covariance(self._before, self._image)
         best = max((self._correlation(by), by) for by in {far, self._last_shift, (0.0, 0.0)})
         return best[1] if best[0] > 0 else None
@@ -272,8 +272,8 @@ class Matcher:
         return float(correlation[0, 0])
 
     def _common(self, shift: Shift, border: int = 0) -> Common | None:
-        """Return rows and columns in which the last image overlaps this one, without a border; None
-        if the overlap is too small."""
+        """Return the rows and columns in which the last image overlaps this one, inside a border.
+        Return None if the overlap is too small."""
         slices = []
         for side, by in zip(self.shape, map(round, shift[::-1]), strict=True):
             start, stop = border + max(0, -by), side - border - max(0, by)

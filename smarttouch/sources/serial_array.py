@@ -147,8 +147,8 @@ def _decode_frame(number: int, payload: bytes) -> ArrayFrame | None:
 
 
 def gap(before: int, number: int) -> int:
-    """Return the number of packets lost between two packet numbers; 0 if the device has restarted
-    or the second packet is older."""
+    """Return the number of packets lost between two packet numbers. Return 0 if the second packet
+    is older, or if the device has restarted."""
     missing = (number - before - 1) % NUMBERS
     return missing if missing < NUMBERS // 2 else 0
 
@@ -213,8 +213,8 @@ _TEXT = re.compile(rb"[\t\x20-\x7e]*")
 
 
 def parse_line(line: bytes) -> float | None:
-    """Return the reading in a line without its line ending; NaN if the line states NaN, overflow or
-    an implausible number; None if it has no number or is not text."""
+    """Return the reading in ``line``, which has no line ending. Return NaN if the line states NaN,
+    overflow or an implausible number. Return None if it has no number or is not text."""
     if not _TEXT.fullmatch(line):
         return None
     number, none = _NUMBER.search(line), _NOT_A_NUMBER.search(line)
@@ -229,8 +229,8 @@ def parse_line(line: bytes) -> float | None:
 class TextReadings:
     """Parser of readings in lines of text.
 
-    It ignores the first line, whose start can be missing, and the first reading after bytes that
-    are not text, because noise can contain digits, too.
+    It ignores the first line, whose start can be missing. It also ignores the first reading after
+    bytes that are not text, because noise can contain digits.
     """
 
     def __init__(self) -> None:

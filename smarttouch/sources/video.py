@@ -32,8 +32,8 @@ SUFFIXES = (
 )  # fmt: skip
 _FEWEST_PIXELS = 2
 _MOST_PIXELS = 80_000_000
-MOST_DECODED = 8  # smallest delay, in images, at which an image is skipped without decoding
-_MISSING = 0.05  # largest accepted share of missing frames, because files state counts inexactly
+MOST_DECODED = 8  # an image that is late by this number of images is skipped without decoding
+_MISSING = 0.05  # accepted share of missing frames, because counts in files are inexact
 _TEXT = cv2.VideoWriter.fourcc(*"ansi")
 # Suppress messages of FFmpeg, which reads this variable when the process opens its first video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")

@@ -52,7 +52,7 @@ def reading_path(
     """Return a path along the lines of a page, or along parallel strips if it has no lines."""
     require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
     field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
-    # Detect light print even if the user has not declared it: the path must not follow its gaps.
+    # Detect light print, too: otherwise the path would follow the dark gaps between its lines.
     lines = find_lines(page, light_on_dark or None) or [_printed(page, light_on_dark)]
     sweeps = tuple(sweep for line in lines for sweep in _sweeps(line, field[1]))
     rows: list[tuple[float, float, float, float, float]] = []
@@ -113,7 +113,7 @@ def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
 
 def _middle_path(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Return x, y and angle of a finger along the middle of a line, and the distance covered."""
-    # Begin on the first letters: on blank paper no pulses are sent, so the ramp does not rise.
+    # Begin on the first letters: on blank paper no current flows, so the ramp does not rise.
     start, end = line.left_mm, line.right_mm + field_mm / 2
     x = np.linspace(start, end, max(2, math.ceil((end - start) / _STEP_MM)))
     y = line.baseline_mm(x) + (line.descent_mm - line.ascent_mm) / 2
@@ -132,10 +132,10 @@ MOST_PASSES = 10_000
 _SHADE = 0.1  # relative loss of light at the corners (vignetting)
 _SLOPE = 0.03
 _PRINT_MM, _USUAL_PRINT_MM = (1.5, 9.0), 3.7
-"""Range of plausible heights of lines (ascender to descender), and the height of 11-point lines. If
-the assumed size of a page gives lines outside this range, the page is scaled to 11 points."""
+"""Plausible heights of lines from ascender to descender, and height of 11-point lines, mm. If lines
+on a page of assumed size are not plausible, the page is scaled to 11-point lines."""
 _CHOSEN_DPI = (97.0, 700.0)
-"""Resolutions in this range are trusted if a file states them. Others are mostly defaults."""
+"""The resolution stated in a file is used if it is in this range. Others are mostly defaults."""
 _MARGIN_MM = 4.0
 _MOST_PIXELS = 60_000_000
 
