@@ -242,8 +242,8 @@ def stop_all() -> list[Answer]:
             problems.append(f"{run.name} cannot be asked to stop ({error}): switch the board off")
     deadline_s = time.monotonic() + ANSWER_S
     answers = [run.answer(deadline_s) for run in asked]
-    # Wait longer than 10 ms, the resolution of process start times. Programs that start after this
-    # call then have a later start time than the time in the file ``stopped``.
+    # Wait longer than 10 ms, the resolution of process start times. Otherwise a program that starts
+    # after this call could count as stopped.
     time.sleep(0.02)
     return [*answers, *map(Answer, problems)]
 
@@ -275,7 +275,7 @@ _begun_ns = _start_ns(os.getpid()) or now_ns()  # start of the program, also in 
 
 
 def _place() -> tuple[str, str, str]:
-    """Return host, boot id and PID namespace, in which a process id is unique."""
+    """Return host, boot id and PID namespace. A process id is unique within all three."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return socket.gethostname(), boot, str(Path("/proc/self/ns/pid").readlink())

@@ -38,7 +38,7 @@ ASKED_AGAIN_S = 0.25  # time after which a query is sent again
 PAUSED_S = 1.0  # a refusal this soon after a pause of this computer is blamed on the pause
 LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
-AFTER_ZERO_S = 0.02  # wait for forbidden slots after a confirmed stop: a period at 50 Hz
+AFTER_ZERO_S = 0.02  # after a confirmed stop, no slot may follow in this time: a period at 50 Hz
 MOST_COMPLIANCES = 2.1  # largest valid ratio of slot voltage to compliance: two sources reach 2
 OPEN_SHARE = 0.97  # if all voltages reach this share of the compliance, the finger is lifted
 _PIECE = 1024  # bytes of kernels per packet; longer packets would block the line too long
@@ -66,9 +66,8 @@ class LinkSession:
     def __init__(
         self, receive: Callable[[Message], None], draw: Callable[[], int] = protocol.draw_half
     ) -> None:
-        # longest wait for an answer, and longest silence of the board in a session
-        self.answer_s: float = ANSWER_S
-        self.silence_s: float = SILENCE_S
+        self.answer_s: float = ANSWER_S  # longest wait for an answer
+        self.silence_s: float = SILENCE_S  # longest silence of the board in a session
         self.refused: int = 0  # packets of the board that were refused, in all sessions
         self.news: threading.Condition = threading.Condition()
         self.paused_at_s: float = -PAUSED_S  # time of the last write that followed a pause
