@@ -33,7 +33,7 @@ from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 _HEARTBEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest pause between packets of the host
-_STEP_NS = 20_000  # step by which simulated time advances while the host waits for an answer
+_STEP_NS = 20_000  # while the host waits for an answer, simulated time advances in these steps
 _LONGEST_GAP_NS = 1000 * (link_rules.KEPT_US + link_rules.SECOND_US)
 """Longest simulated pause between sequences: longer pauses are shortened to this. After this pause,
 the ramp has restarted, and the limits per second count no earlier pulse."""

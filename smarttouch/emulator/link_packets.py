@@ -231,7 +231,7 @@ def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8
 
 def rounded(sums: NDArray[np.int64]) -> NDArray[np.int64]:
     """Convert sums of scaled kernels, (…, E), to whole µA, so that all currents sum to zero."""
-    # The last cumulative sum is 0, rounded or not, so the differences between these sums sum to 0.
+    # Round the cumulative sums. The last one stays 0, so their differences sum to 0.
     return np.diff((np.cumsum(sums, axis=-1) + 65_536) >> 17, axis=-1, prepend=0)
 
 
