@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 
 PDF_DPI = 300.0
 MOST_RENDERED_PIXELS = 36_000_000
-"""Largest rendering of a PDF page: A2 at 300 dots per inch. Larger pages are rendered at a lower
-resolution, because most of them are scans whose PDF counts each pixel as a point (1/72 inch)."""
+"""Largest number of pixels of a rendered PDF page: A2 at 300 dpi. By default, a larger page is
+rendered at a lower resolution."""
 GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
 _LEAST_BELIEVED_DPI = 50.0
-"""Smallest resolution that is believed. The value 72 is not believed, because many programs write
-it if they do not know the resolution."""
+"""Smallest resolution of an image file that is used. A resolution of 72 dpi is ignored, too,
+because many programs write 72 if they do not know the resolution."""
 
 
 class LockedError(PageError):
@@ -49,12 +49,13 @@ class LockedError(PageError):
 
 
 class Document(Closing):
-    """Pages of a PDF, TIFF or other image, loaded on request. The file's content tells its format.
+    """Pages of a PDF, TIFF or other image, loaded on request.
 
-    A PDF page is rendered with its filled-in forms, and provides its text. An image file is open
-    only while a page is loaded. Only one thread at a time may load pages. ``notes`` lists
-    assumptions. ``dpi`` replaces an image's own resolution, or the 300 dpi at which PDF pages are
-    rendered; ``page_width_mm`` replaces the page's own width.
+    The format is detected from the file's content. A PDF page includes its text and filled-in
+    forms. Only one thread at a time may load pages.
+
+    ``notes`` lists assumptions. ``dpi`` is the resolution; the default is the resolution that an
+    image states, or 300 dpi for a PDF. ``page_width_mm`` replaces the width that the file states.
     """
 
     def __init__(
@@ -174,9 +175,9 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
     return pdf
 
 
-_STAMP = 100  # number of rotated characters above which the page is rotated; fewer are a stamp
+_STAMP = 100  # if more characters than this are rotated, the whole page is turned upright
 _LEVEL = 10.0  # angle to the horizontal or vertical, degrees, above which text is slanted
-_FINE = 1000.0  # integer coordinates are requested from PDFium in 1/1000 point
+_FINE = 1000.0  # PDFium returns integer coordinates: request them in 1/1000 point
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
 _SPACES = _NONE, _MOVED, _MADE, _TYPED = ("", "\n", "\t", " ")
 """Values of `Segment.space`: none, line break, space inserted by PDFium, space in the file."""
@@ -223,7 +224,7 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
 _ABOVE, _AROUND = 0.95, 0.3  # extent of a letter above and below the baseline, in letter sizes
 _FAINT = 12  # contrast, gray levels, below which print is invisible
 _MOST_UNKNOWN = 0.05  # largest share of undefined characters in a text
-_MOSTLY = 0.5  # largest length of print that has no text in the file, relative to print with text
+_MOSTLY = 0.5  # largest total length of lines that are only pictures, relative to text lines
 _ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
 _BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # a bullet in a symbol font
 
@@ -261,19 +262,19 @@ def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
 
 
 _SMALLER = 0.95  # largest size of a superscript or subscript, relative to the text
-_SHIFTED = (0.1, 0.8)  # range of distances of sub- and superscripts from the baseline, letter sizes
+_SHIFTED = (0.1, 0.8)  # smallest and largest shift of a sub- or superscript, in letter sizes
 _NEAR = 0.55  # largest gap between a sub- or superscript and the word, in letter sizes
 _INITIAL = 1.8  # smallest size of a drop cap relative to the text
-_TOUCHING = 0.3  # smallest gap, in letter sizes, that is a space if the file has a line break there
+_TOUCHING = 0.3  # at a line break in the file, smallest gap that is a space, in letter sizes
 _FARTHEST = 2.5  # largest space within a segment, in letter sizes
 _SPACED = 0.8  # largest letter spacing, in letter sizes
 _WIDER = 1.5  # smallest gap between letter-spaced words, relative to the letter spacing
 _EVEN = 0.25  # largest difference between the spaces of a justified line, in letter sizes
-_EACH = 0.4  # largest space in a justified line, in letter sizes, divided by the number of words
+_EACH = 0.4  # a justified line of n words has spaces of up to n times this, in letter sizes
 
 
 def _segments(signs: list[Segment]) -> list[Segment]:
-    """Join characters of horizontal text to segments; mark superscripts ``^``, subscripts ``_``."""
+    """Join characters to segments; write ``^`` before superscripts and ``_`` before subscripts."""
     segments: list[Segment] = []
     for line in split(
         signs, lambda last, sign: abs(sign.y - last.y) > _SHIFTED[1] * max(sign.size, last.size)
@@ -286,8 +287,8 @@ def _segments(signs: list[Segment]) -> list[Segment]:
 
 
 def _spacing(line: list[Segment]) -> tuple[float, float]:
-    """Return the letter spacing of a line and the widest gap that does not end a segment, in letter
-    sizes. Both are 0 in usual lines, which are neither letter-spaced nor justified."""
+    """Return, in letter sizes, the letter spacing of a line and the widest gap within a segment.
+    Both are 0 if the line is neither letter-spaced nor justified."""
     gaps = [sign.gap(last) for last, sign in itertools.pairwise(line)]
     spaces = [gap for gap, sign in zip(gaps, line[1:], strict=True) if sign.space == _MADE]
     tracking = statistics.median(gaps) if len(gaps) > 2 else 0.0
@@ -354,14 +355,14 @@ def _erased(page: Page, signs: list[Segment], point_mm: float) -> tuple[list[Seg
     return seen, replace(page, grey=grey)
 
 
-_COARSE_MM = 0.25  # pixel size of the image in which print without text is searched
-_LETTERS_MM = (0.8, 12.0)  # range of letter heights in print without text
-_CONTRAST = 60  # smallest contrast of print without text, gray levels
-_FEWEST_SPOTS = 4  # smallest number of letters in print without text
+_COARSE_MM = 0.25  # pixel size of the image in which `_print_on` searches
+_LETTERS_MM = (0.8, 12.0)  # smallest and largest height of a letter in `_print_on`
+_CONTRAST = 60  # smallest contrast of a letter in `_print_on`, gray levels
+_FEWEST_SPOTS = 4  # with fewer letters on a page, `_print_on` finds no lines
 
 
 def _print_on(page: Page) -> list[TextLine]:
-    """Return the lines of print in a page's image. The file's text was erased from the image."""
+    """Return the lines of print in the image of a page from which `_erased` removed the text."""
     step = page.mm_per_pixel / _COARSE_MM
     coarse = cv2.resize(page.grey, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
     ink = np.abs(coarse - np.median(coarse)) > _CONTRAST

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 Grey = NDArray[np.uint8]
 
-_WINDOW_PX = 41  # width of dark spots that are removed to find the paper; strokes are narrower
-_PAPER = 210.0  # gray level to which paper is normalized; bright grains have higher levels
+_WINDOW_PX = 41  # narrower dark spots, such as strokes, are removed to find the paper
+_PAPER = 210.0  # gray level of paper after normalization
 _CONTRAST = 0.12  # smallest contrast of ink, relative to paper
 _PALE = 0.2  # smallest contrast of pale print on a digital page, relative to paper
 _GRAINS = 6.0  # smallest contrast of ink, in standard deviations of the paper's grain
-_FEWEST = 2e-4  # smallest share of ink pixels on a page that is not blank
-_CALM = 5.0  # largest grain of paper, gray levels, at which the threshold is fully local
-_GRAINY = 9.0  # smallest grain of paper, gray levels, at which a page has a single threshold
+_FEWEST = 2e-4  # a page with a smaller share of ink pixels is blank
+_CALM = 5.0  # paper with less grain, gray levels, has a local threshold
+_GRAINY = 9.0  # paper with more grain, gray levels, has a single threshold
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +32,8 @@ class Paper:
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     """Separate ink from paper in an image, (H, W) uint8; by default, detect light print on dark.
 
-    The threshold is about halfway between paper and ink. It is local or, on grainy paper, the same
-    for the whole page. Pale print beside black print counts as ink only on pages without grain.
+    The threshold is about halfway between paper and ink. The threshold is local, but grainy paper
+    has a single threshold. Pale print beside black print counts as ink only on paper without grain.
     """
     light_on_dark = is_light_on_dark(grey) if light_on_dark is None else light_on_dark
     grey = ~grey if light_on_dark else grey
@@ -54,14 +54,14 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     otsu, _ = cv2.threshold(pixels, 0, 255, cv2.THRESH_OTSU)
     first = int(min(otsu if grain > 1 else max(otsu, pale), middle - 4 * grain))
     mean = counts[: first + 1] @ level[: first + 1] / max(counts[: first + 1].sum(), 1)
-    # A few pixels are enough to be ink if their contrast is high.
+    # A few pixels of high contrast are enough.
     enough = counts[level < sure].sum() >= _FEWEST * flat.size
     enough |= counts[level < 1.4 * sure - 0.4 * middle].sum() >= 4
     if not enough or middle - mean < 0.85 * (middle - sure):
         white = np.full_like(grey, 255)
         return Paper(white < 255, white, light_on_dark)
     window = (round(20 / factor) | 1,) * 2
-    # Average the depth of ink with depth as the weight, so that pale edges of strokes count little.
+    # Average the depth of ink, weighted by depth, so that pale edges of strokes count little.
     depth = np.where(flat <= first, np.float32(middle) - flat, np.float32(0))
     typical = np.vdot(depth, depth) / depth.sum()
     around = cv2.blur(depth * depth, window) + 0.02 * typical**2
@@ -103,7 +103,7 @@ def _closed(image: Grey, side_px: float) -> Grey:
 
 
 def is_light_on_dark(grey: Grey) -> bool:
-    """Return whether a page is printed light on dark; the skewness of its gray levels decides."""
+    """Return whether a page is printed light on dark, from the skewness of its gray levels."""
     step = max(1, round(math.sqrt(grey.size / 6000)))
     small = grey[::step, ::step].astype(np.float32)
     window = (max(3, round(math.sqrt(small.size) / 16)) | 1,) * 2

@@ -1,5 +1,5 @@
-"""Rows of letters: connected components of ink, linked from left to right within columns. The
-measured heights and strokes of a row show whether the row is text."""
+"""Rows of letters. Connected components of ink are linked from left to right. The heights and the
+strokes of a row show whether the row is text."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -21,11 +21,11 @@ _DOT = 0.7  # smallest share of ink in the box of a dot
 _RULE = 12.0  # ratio of length to thickness above which a component is a rule
 _LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the typical height
 _COMMA = (0.8, 0.5)  # largest height and width of a comma or quote, in typical heights
-_LONGEST = 40.0  # largest ratio of length to height of a word with touching letters
-_UNDERLINE, _THIN = 3.0, 0.3  # underline: smallest length, largest thickness, in letter heights
+_LONGEST = 40.0  # largest ratio of width to height of a word whose letters touch
+_UNDERLINE, _THIN = 3.0, 0.3  # underline: smallest length and largest thickness, in letter heights
 _TWO_LINES = 1.7  # smallest height of a component that may span two lines, in letter heights
 _LEAST_LINE = 0.6  # smallest height of a line in a component of two lines, in letter heights
-_VALLEY = 0.25  # largest ink in a pixel row between two lines, relative to the lines' fullest rows
+_VALLEY = 0.25  # a pixel row with less than this share of the ink of full rows separates two lines
 
 
 def weighted_median(values: Indices | Floats, weight: Floats) -> float:
@@ -72,7 +72,7 @@ class Components(NamedTuple):
 
 
 def find_components(ink: Ink) -> tuple[Components, NDArray[np.int32]]:
-    """Return the components of a mask of ink, (H, W), and their labels, (H, W), from 1."""
+    """Return the connected components of ``ink``, and the label of each pixel, (H, W), from 1."""
     # This algorithm is more than twice as fast as the default.
     _, labels, boxes, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
         ink.view(np.uint8), 8, cv2.CV_32S, cv2.CCL_GRANA
@@ -103,10 +103,10 @@ def like_letters(components: Components, height: float) -> NDArray[np.bool_]:
 def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
     """Return masks, (H, W), of horizontal rules and underlines, and of vertical rules."""
     page, long = ink.view(np.uint8), round(_RULE * height)
-    # Only a line without ink below is an underline: in some scripts letters hang from lines.
+    # In some scripts letters hang from a line. Only a line without ink below is an underline.
     thick = max(3, round(_THIN * height))
     bare = page & ~np.pad(page, ((0, thick), (0, 0)))[thick:]
-    # Widen the ink: a slightly tilted vertical rule has steps of one pixel.
+    # Widen the ink to connect the steps of a slightly tilted vertical rule.
     wide = cv2.dilate(page, np.ones((1, 3), np.uint8))
     underlines, rules, upright = (
         np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones(run, np.uint8)), np.uint8)
@@ -133,24 +133,24 @@ def part_lines(ink: Ink, components: Components, height: float) -> Ink:
 
 
 _NEIGHBORS = 10  # number of candidates for the next letter
-_WIDEST_GAP = 3.8  # largest gap in a row, in heights of the taller letter; a dash may be in the gap
-_LEAST_OVERLAP = 0.45  # smallest vertical overlap in a row, relative to the shorter letter
-_LARGEST_RATIO = 2.8  # largest ratio of letter heights in a row; parentheses are 2.5 x-heights tall
+_WIDEST_GAP = 3.8  # largest gap between two letters of a row, in heights of the taller letter
+_LEAST_OVERLAP = 0.45  # smallest vertical overlap of two letters of a row, relative to the shorter
+_LARGEST_RATIO = 2.8  # largest ratio of heights in a row; a parenthesis is 2.5 x-heights tall
 _LEAST_SPACE = 0.35  # narrowest space between words, in letter heights
-_LANE_PX = 3.0  # height of letters, px, in the reduced image in which lanes are searched
+_LANE_PX = 3.0  # lanes are searched in a reduced image with letters of this height, px
 _NARROWEST = 0.75  # smallest width of a lane (white gap between columns), in letter heights
 _LANES = ((1.25, 15.0), (1.9, 8.0))
-"""For each kind of lane: smallest width, in word spaces, and smallest length, in letter heights."""
+"""Smallest width, in word spaces, and smallest length, in letter heights, of two kinds of lanes."""
 _LANE_REACH = 16.0  # largest distance from a lane to the print on each side, in letter heights
 _SHORT_LINES = 6.5  # largest vertical gap in the print beside a lane, in letter heights
-_LANE_GAP = 25.0  # largest vertical gap at which an interrupted lane continues, in letter heights
+_LANE_GAP = 25.0  # largest interruption of a lane, in letter heights
 
 
 def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[Components]:
     """Return the letters of each row, from left to right.
 
-    Rows end at ``walls``, (H, W), a mask of vertical rules and pictures, and at lanes, the white
-    gaps between columns in ``ink``, (H, W).
+    Rows end at walls and at lanes. ``walls``, (H, W), is a mask of vertical rules and pictures.
+    Lanes are the white gaps between columns of ``ink``, (H, W).
     """
     if not len(letters.area):
         return []
@@ -161,7 +161,7 @@ def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[
     middle = (letters.top[first] + letters.bottom[first]) // 2
     passed = (np.cumsum(mask, axis=1, dtype=np.int32) for mask in (walls, lanes))
     walled, laned = (count[middle, end] > count[middle, start] for count in passed)
-    # Letters of a headline have gaps as wide as lanes: compare each gap with the letter heights.
+    # A lane may cross a headline. End a row only at a gap that is wide relative to its letters.
     wide = 2 * gap > _NARROWEST * (letters.height[first] + letters.height[second])
     free = ~(walled | (laned & wide))
     following = dict(zip(first[free].tolist(), second[free].tolist(), strict=True))
@@ -199,8 +199,8 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
 
 
 def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
-    """Link each letter to the next letter on its right; links of low cost go first. Return for
-    each link the index of the left letter, the index of the right letter, and the gap, px."""
+    """Link letters to their right neighbors, closest letters first. Return three arrays with an
+    entry for each link: index of the left letter, index of the right letter, and gap, px."""
     height, middle = letters.height, (letters.top + letters.bottom) / 2
     # Vertical distance counts twice in the search for near letters.
     starts = np.column_stack([letters.left, 2 * middle]).astype(np.float32)
@@ -227,23 +227,23 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     return first[links], second[links], gap[links]
 
 
-_WORD = 1.3  # width, in letter heights, above which a component is several touching letters
+_WORD = 1.3  # a component wider than this, in letter heights, is several touching letters
 _PIECE = 0.6  # width of the pieces into which touching letters are divided, in letter heights
 _DEGREES = (8.0, 20.0, 40.0)
-"""Smallest lengths of rows, in letter heights, for baselines of polynomial degree 1, 2 and 3."""
-_DESCENDING = 2.5  # factor for distances below a baseline: descenders get smaller weights
+"""Row lengths, in letter heights, from which the baseline has polynomial degree 1, 2 and 3."""
+_DESCENDING = 2.5  # factor of distances below a baseline, so that descenders get small weights
 _ROUNDS = 5  # iterations of the robust fit
 _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # candidate x-heights, in letter heights
-_NEAR = (0.1, 0.5)  # tolerance of heights: first number in x-heights, plus second number in px
+_NEAR = (0.1, 0.5)  # tolerance of heights: 0.1 x-heights + 0.5 px
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of ascender height and descender depth from the baseline, in x-heights."""
 _UNDECIDED = 0.3  # if a larger share of letters ends above the baseline, the baseline is raised
 _STROKES = (0.75, 2.9)  # range of `Baseline.strokes` in text; usual print has 0.9 to 1.9
-_TOUCHING = 1.3  # smallest median width of components in a row of touching letters, in x-heights
+_TOUCHING = 1.3  # letters touch if the median width of components is larger, in x-heights
 _ON_LEVELS = 0.65  # smallest share of letters with typical heights in a row of text
-_TOUCHING_ON_LEVELS = 0.52  # smallest share of typical letter heights in a row of touching letters
-_FEW_ON_LEVELS = 0.8  # smallest share of letters with typical heights if the row has few letters
-MANY = 8  # smallest number of letters that shows, without other rows, whether a row is text
+_TOUCHING_ON_LEVELS = 0.52  # as `_ON_LEVELS`, for a row of touching letters
+_FEW_ON_LEVELS = 0.8  # as `_ON_LEVELS`, for a row of fewer than `MANY` letters
+MANY = 8  # a row of fewer letters must meet stricter conditions to be text
 _SOLID = 0.75  # smallest share of ink in the box of a disc or a square
 
 
@@ -254,11 +254,11 @@ class Baseline:
     letters: Components
     left: float
     right: float
-    curve: Floats  # (D,) polynomial coefficients, lowest first: y at a distance from ``left``
+    curve: Floats  # (D,) polynomial coefficients, lowest first; the argument is x - left
     x_height: float
     rise: Floats  # (P,) heights of letter tops above the baseline
     fall: Floats  # (P,) depths of letter bottoms below the baseline
-    strokes: float  # number of strokes at half x-height, divided by the length in x-heights
+    strokes: float  # number of strokes for each x-height of length, at half x-height
 
     def at(self, x: NDArray[np.float64]) -> Floats:
         """Return y of the baseline at x, linearly extrapolated beyond the row's ends."""
@@ -286,7 +286,7 @@ class Baseline:
 
     @property
     def on_levels(self) -> float:
-        """Smaller of two shares: letters with typical tops, and letters with typical bottoms."""
+        """Share of letters with typical tops or with typical bottoms, whichever is smaller."""
         near = _NEAR[0] * self.x_height + _NEAR[1]
         deep = (self.fall > _DEEP[0] * self.x_height) & (self.fall < _DEEP[1] * self.x_height)
         low = (np.abs(self.fall) < near) | deep
@@ -297,8 +297,8 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     """Measure a row of letters in ``ink``, (H, W).
 
     The baseline is a smooth curve through the lower ends of most letters. The x-height is chosen so
-    that most letters have x-height or ascender height. A very short row gets ``slope``, the slope
-    of the lines around the row.
+    that most letters have x-height or ascender height. ``slope`` is the expected slope; a very
+    short row gets this slope.
     """
     left, right, height = letters.left.min(), letters.right.max(), letters.usual_height
     x, top, bottom = _pieces(ink, letters, height)
@@ -316,7 +316,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     score = np.tensordot((1, 0.9), _on_levels(rise, tried[:, None]).mean(axis=-1), 1)
     x_height = float(tried[score.argmax()])
     alike = rise[np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]]
-    # Take the mean of the measured x-heights, or the minimum if only this fits all letters.
+    # Take the mean of the measured x-heights, or the minimum if only the minimum fits all letters.
     heights = (float(alike.mean()), float(alike.min())) if len(alike) else (x_height,)
     x_height = max(heights, key=lambda tried: _on_levels(rise, tried).any(axis=0).all())
     along = np.arange(right - left)
@@ -329,13 +329,13 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
 
 
 def _on_levels(rise: Floats, x_height: Floats | float) -> NDArray[np.bool_]:
-    """Return masks of letters with x-height, and of letters with ascender height, (2, …, N)."""
+    """Return two masks, (2, …, N): letters with x-height, and letters with ascender height."""
     near = np.abs(rise - x_height) < _NEAR[0] * x_height + _NEAR[1]
     return np.array([near, ~near & (rise > _TALL[0] * x_height) & (rise < _TALL[1] * x_height)])
 
 
 def _pieces(ink: Ink, letters: Components, height: float) -> tuple[Floats, Floats, Floats]:
-    """Return middle x, top and bottom, (P,) each, of letters and of pieces of touching letters."""
+    """Return the middle x, top and bottom of letters, (P,) each. Touching letters are divided."""
     long = letters.width > _WORD * height
     rows = [np.stack([(letters.left + letters.right) / 2, letters.top, letters.bottom])[:, ~long]]
     for k in np.flatnonzero(long).tolist():

@@ -31,7 +31,7 @@ class TextLine:
 
     left_mm: float
     right_mm: float
-    baseline: tuple[float, ...]  # polynomial coefficients, lowest first: y at x - left_mm
+    baseline: tuple[float, ...]  # polynomial coefficients, lowest first; argument: x - left_mm
     x_height_mm: float
     ascent_mm: float  # height of the font's ascenders, even if the line has none
     descent_mm: float
@@ -60,10 +60,10 @@ class TextLine:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Page as gray levels, (H, W) uint8, 255 is white, with its scale.
+    """Picture of a page, (H, W) uint8, with its scale; 255 is white.
 
-    A page of a PDF also has its lines in reading order, their texts, and notes on omitted parts. If
-    a page has no lines, its text must be recognized.
+    A page of a PDF also has its lines in reading order, the text of each line, and notes on omitted
+    parts. If a page has no lines, its text must be recognized.
     """
 
     grey: NDArray[np.uint8]

@@ -128,14 +128,14 @@ def _with_lines(
 _SKEWS_DEG = np.linspace(-16, 16, 321)
 _LEAST_SKEW_DEG = 0.2  # smallest skew to correct
 _PEAK_DEG = 0.6  # candidate skews within this distance of the best candidate are averaged
-_BIN = 0.25  # bin height in the histogram of the letters' lower ends, in letter heights
+_BIN = 0.25  # bin size of the histogram of letter bottoms, in letter heights
 _FEWEST = 30  # smallest number of letters with which the skew is measured
-_SURE = 2.0  # smallest ratio of the best score to the median score with which the skew is certain
+_SURE = 2.0  # the skew is certain if its score is more than this times the median score
 
 
 def skew_of(letters: Components, height: float) -> float:
-    """Return the clockwise skew, degrees, at which the lower ends of most letters are aligned; 0 if
-    the skew is uncertain. ``height`` is the typical letter height, px."""
+    """Return the clockwise skew of a page, degrees, or 0 if uncertain. At this skew, most letter
+    bottoms are aligned. ``height`` is the typical letter height, px."""
     x = (letters.left + letters.right) / 2
     if len(x) < _FEWEST:
         return 0.0
@@ -150,7 +150,7 @@ def skew_of(letters: Components, height: float) -> float:
 
 _LEAST_SIDES = (2.5, 5.0)  # smallest height and width of a dark panel, in letter heights
 _LEAST_INK = 0.6  # smallest share of ink in a dark panel
-_LIGHT_LETTER = (0.5, 9.0)  # range of letter heights in a dark panel, relative to the page
+_LIGHT_LETTER = (0.5, 9.0)  # range of letter heights in a dark panel, relative to those on the page
 _FEWEST_LETTERS = 4  # smallest number of letters in a dark panel
 
 
@@ -169,10 +169,10 @@ def _panels(ink: Ink, components: Components, height: float) -> Ink:
     return panels
 
 
-_HOPELESS = 60  # number of rows after which measuring ends if none of these rows is text
-_MISSES = 3  # number of additional rows that are measured for each row that is text
+_HOPELESS = 60  # if none of this many rows is text, the other rows are not measured
+_MISSES = 3  # for each row that is text, this many more rows are measured
 _LEAST_X_HEIGHT_PX = 3.5  # smallest x-height of readable print
-_SHORT = 11.0  # row length, in letter heights, below which a row gets the nearest line's slope
+_SHORT = 11.0  # a row shorter than this, in letter heights, gets the slope of the nearest line
 
 
 def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Baseline], int]:
@@ -196,14 +196,14 @@ def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Base
     return _credible(ink, measured), small
 
 
-_EVEN = 0.85  # share of letters with typical heights from which a line is called even
-_FEW = 4  # smallest number of letters with which an even line is certainly text
+_EVEN = 0.85  # in an even line, at least this share of letters has typical heights
+_FEW = 4  # an even line with at least this many letters is certainly text
 _SIMILAR = 1.7  # largest ratio between the x-heights of a line and a line that is certainly text
 _MOST_OF_ALL = 0.8  # if no line is certainly text, lines must contain this share of the page's ink
 _OWN = (-1.8, 0.6)  # top and bottom of a line relative to the baseline, in x-heights
-_AROUND = (-1.7, 0.5)  # vertical range for `_FOREIGN`, from the baseline, in letter heights
-_FOREIGN = 0.1  # largest ink around a line, divided by the line's ink and its number of letters
-_NEAR_FOREIGN = 0.5  # as `_FOREIGN`, but for a line that is even (see `_EVEN`)
+_AROUND = (-1.7, 0.5)  # area around a line: top and bottom from the baseline, in letter heights
+_FOREIGN = 0.1  # largest ratio of ink around a line to the line's ink, for each letter of the line
+_NEAR_FOREIGN = 0.5  # as `_FOREIGN`, for an even line (see `_EVEN`)
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
@@ -273,7 +273,7 @@ def _ordered(
     return tuple(found), any(row.is_doubtful for row in ordered)
 
 
-_REACH = 1.2  # largest gap between a mark at the end of a line and its neighbor, in x-heights
+_REACH = 1.2  # largest gap between a line and a mark at its end, in x-heights
 _FARTHEST = 3.5  # largest total length of the marks at one end of a line, in x-heights
 _ABOVE, _BELOW = 1.6, 0.5  # largest distances of marks above and below the baseline, in x-heights
 _LONGEST = 2.5  # largest side of a dot, dash or single letter, in x-heights
@@ -311,8 +311,8 @@ _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:
     """Return the x-height of each line, (N,) px, and the common ascent and descent, in x-heights.
 
-    Lines of one font size get the same x-height. In lines of only capitals and digits, the height
-    of capitals was measured, so the x-height is computed from this height.
+    Lines of one font size get the same x-height. In a line of capitals and digits, the measured
+    height is the height of capitals. The x-height is computed from this height.
     """
     size, length = np.array([(line.x_height, line.right - line.left) for line in lines]).T
     tall = np.array([np.mean(line.rise > 1.25 * line.x_height) for line in lines])

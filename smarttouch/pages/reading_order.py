@@ -15,13 +15,13 @@ _WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
 _APART = 2.5  # smallest vertical or horizontal gap between separate lines, in letter sizes
 _FLUSH = 0.4  # largest difference between the ends of justified lines, in letter sizes
 _FARTHER = 1.6  # smallest distance between blocks of rows, relative to the typical row distance
-_EDGE = 0.125  # height of the areas at top and bottom for running heads, relative to the page
+_EDGE = 0.125  # running heads are in this share of the page at the top and at the bottom
 _WIDE_CELL = 5.0  # smallest mean line width of prose in a picture, in letter sizes
 _WIDER = 8.0  # smallest mean line width of prose in a PDF file, in letter sizes
 _WIDEST = 13.0  # smallest mean line width of prose with widely spaced rows, in letter sizes
 _LOOSE = 1.5  # row distance above which rows are widely spaced, in letter sizes
 _FEWEST = 3  # with fewer rows, the widths of lines do not tell prose from tables
-_SURE = 1.15  # the order is doubtful if a line width is within this factor of the prose limit
+_SURE = 1.15  # the order is doubtful if line width and prose limit differ by less than this factor
 DOUBTFUL = "the reading order is doubtful: words side by side may be columns, or rows of a table"
 # mark of a list item, or number of a section
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
@@ -162,8 +162,8 @@ def _ordered(rows: list[Row]) -> list[Line]:
 
 
 def _insets(rows: list[Row], gap: _Span) -> list[Row] | None:
-    """Return the segments that lie across a gap between columns, as captions do. Return None if
-    few rows have text on both sides of the gap."""
+    """Return the segments that cross a gap between columns, such as captions. Return None if few
+    rows have text on both sides of the gap."""
     across = [[part] for row in rows for part in row if part.left < gap[1] and part.right > gap[0]]
     beside = [[part for part in row if [part] not in across] for row in rows]
     sides = _part(beside, -math.inf, gap[1]), _part(beside, gap[1])
@@ -211,8 +211,8 @@ def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
 
 
 def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
-    """Return the smaller mean line width of two columns, relative to the limit for prose. At 1 or
-    more, read the columns one after the other. Infinity means that the file has them so."""
+    """Return the mean line width of the narrower column, relative to the smallest width of prose.
+    Return 0 for a table, and infinity if the file stores the columns one after the other."""
     ends = [_text(row)[:1] + _text(row)[-1:] for row in right]
     if all(map(str.isdigit, ends)) or all(_text(row).endswith(":") for row in left):
         return 0.0  # a table: the right column has only numbers, or the left only labels
@@ -237,8 +237,8 @@ def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: flo
 def _lines(band: list[Row]) -> list[Line]:
     """Convert rows to lines.
 
-    Where the gaps of two or more rows overlap, a cell ends. A row with text after its first
-    cell becomes a table row; other rows become plain lines.
+    A cell ends where gaps of two or more rows overlap. A row with text after its first cell is a
+    table row. Other rows are plain lines.
     """
     gaps = sorted((gap for row in band for gap in _free(row)[1:-1]), key=lambda gap: gap[1])
     shared: list[_Span] = []

@@ -15,12 +15,12 @@ _SIDE_PX = 480  # longer side of the image for sheet detection
 _LEAST_PART = 0.2  # smallest share of a photograph that a sheet covers
 _LARGEST_PART = 0.97  # if a sheet covers a larger share of a picture, the picture is a scan
 _LOG_STEPS = (0.1, 0.15, 0.25, 0.4, 0.7)
-"""Thresholds for steps of log gray level at edges. All are tried: high ones ignore shadows."""
+"""Thresholds for edges, in steps of log gray level. Each is tried: high ones ignore shadows."""
 _LEAST_FILLED = 0.93  # smallest share of a sheet's quadrilateral that is bright
 _LEAST_STEP = 25.0  # smallest drop of the gray level from sheet to background at a visible edge
 _LEAST_SIDES = 3  # smallest number of visible edges; one edge may be outside the photograph
 _EDGE_PX = 6  # distance from an edge at which paper and background are compared
-_ROUGH = 0.02  # largest deviation of an outline from a quadrilateral, in outline lengths
+_ROUGH = 0.02  # largest deviation from a quadrilateral, relative to the length of the outline
 _INSET = 0.006  # share of the sheet removed at its blurred edges
 
 
@@ -68,7 +68,7 @@ def _is_sheet(corners: Corners, covered: float, paper: Grey) -> bool:
 
 
 def flattened(grey: Grey, corners: Corners) -> Grey:
-    """Stretch a quadrilateral of a picture to a rectangle; opposite sides get the longer length.
+    """Stretch a quadrilateral of a picture to a rectangle. The longer of opposite sides counts.
     Areas outside the picture get the picture's median gray level."""
     top, right, bottom, left = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
     width, height = max(2, round(max(top, bottom))), max(2, round(max(left, right)))
@@ -90,14 +90,14 @@ def turned(grey: Grey, skew_deg: float) -> Grey:
     return flattened(grey, corners + (size - 1) / 2)
 
 
-_AROUND = 0.8  # extra height cut out above and below a line, removed at the end, in line heights
+_AROUND = 0.8  # height above and below a line that is cut out and later removed, in line heights
 SIDES = 0.25  # margin before and after a line, in line heights
 _INK = 128  # gray level below which a pixel belongs to a spot of ink
 _FADED = np.ones((5, 5), np.uint8)  # adds the gray edge of a spot to the spot
 
 
 def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int) -> Grey:
-    """Cut a line out of a page, straightened along its baseline, (height_px, W) uint8.
+    """Return the picture of a line, (height_px, W) uint8, straightened along its baseline.
 
     The picture reaches from ascenders to descenders, with `SIDES` as margin at each end. Ink of the
     lines above and below is removed.
@@ -108,7 +108,7 @@ def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int
     columns = max(1, round((line.right_mm - line.left_mm + 2 * sides_mm) / scale_mm))
     along_mm = line.left_mm - sides_mm + (np.arange(columns) + 0.5) * scale_mm
     across_mm = (np.arange(-above, rows + above) + 0.5) * scale_mm - line.ascent_mm
-    # Do not tilt columns: strokes stay upright on a curved page.
+    # Shift columns of pixels only vertically, so that strokes stay upright on a curved page.
     y_mm = line.baseline_mm(np.asarray(along_mm, np.float64)) + across_mm[:, None]
     x, y = ((mm / mm_per_pixel - 0.5).astype(np.float32)
             for mm in (np.broadcast_to(along_mm, y_mm.shape), y_mm))  # fmt: skip

@@ -53,7 +53,7 @@ _KINDS = {
     rb"\s*\{.*\"(?:nbformat|cells)\"\s*:": "a notebook (Jupyter)",
     rb"\xd0\xcf\x11\xe0": "an old or locked Office document, or an Outlook mail",
 }
-"""Format for each pattern of a file's bytes: pandoc's name or, if unsupported, a description."""
+"""Formats by patterns of bytes: name in pandoc, or description of an unsupported format."""
 _OBJECT = re.compile(rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>", re.DOTALL)
 _DROPPED = {
     "headers and footers of its pages are left out": rb"<w:(?:hdr|ftr)\b.*?<w:t\b|"
@@ -155,8 +155,7 @@ def _kind_and_format(path: Path) -> tuple[FileKind, str]:
 
 
 def _repacked(path: Path) -> tuple[bytes, list[bytes]]:
-    """Remove from a ZIP file the markup that makes pandoc drop text. Return the new file, and the
-    original contents."""
+    """Return a ZIP file without markup that makes pandoc drop text, and the original contents."""
     try:
         with zipfile.ZipFile(path) as packed:
             if sum(member.file_size for member in packed.infolist()) > MOST_UNPACKED_BYTES:
