@@ -19,8 +19,8 @@ _DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5
 
 
 def image_rows(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool) -> list[Row]:
-    """Draw a gray image with at most ``columns`` by ``rows`` characters: with ``color``, half
-    blocks that show two pixels each; without color, Braille characters of eight dots each."""
+    """Draw a gray image with at most ``columns`` by ``rows`` characters. With ``color``, each
+    character is a half block with two pixels; otherwise, it is a Braille character."""
     height, width = image.shape
     rows, columns = min(rows, MOST_ROWS), min(columns, MOST_COLUMNS)
     wide = max(2, round(2 * rows * width / height))

@@ -37,8 +37,8 @@ Place = tuple[float, float]
 Places = NDArray[np.floating]
 Ink = int | tuple[int, int, int]
 Under = tuple[str, Place, Place, Callable[[tuple[int, int], float], Grey] | None]
-"""Title of a picture; top left corner and size of the touched area, mm; and a function that draws
-what lay in the area, or None. The function takes a shape in pixels and a pixel size in mm."""
+"""Title of a picture, top left corner and size of the touched area in mm, and a function or None.
+The function draws what lay in the area. It takes a shape in pixels and a pixel size in mm."""
 
 
 _DARK_QUANTILE = 0.999
@@ -46,11 +46,11 @@ _SIDE_MM = 0.5  # spacing of skin points that mark where the finger has been
 
 
 class SpikeMap:
-    """Picture of spikes: each spike at its receptor, in the color of its class, on white.
+    """Picture of spikes on white. Each spike is at its receptor, in the color of its class.
 
     ``placed`` converts points on a finger at a pose to points on the picture, (N, 2) mm from the
-    picture's corner. ``field_mm`` is the standard deviation by which spikes are blurred. With
-    ``mean``, the spikes at a point are averaged over poses in which the finger covered the point.
+    picture's corner. Spikes are blurred with the standard deviation ``field_mm``. With ``mean``,
+    the spikes at a point are averaged over all poses in which the finger covered the point.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class SpikeMap:
     def _pixels(
         self, places_mm: Places, pose: Pose
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-        """Return rows and columns of points on the picture, and a mask that selects the points."""
+        """Return the rows and columns of points on the picture, and the mask of these points."""
         shape = self._passes.shape
         column, row = np.floor(self._placed(places_mm, pose) / self._pixel_mm).astype(np.intp).T
         on = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
@@ -107,9 +107,9 @@ class SpikeMap:
 
 
 class DeliveredDrawing(ABC):
-    """Picture of delivered pulses at the positions of the electrodes, drawn below the page. A pixel
-    shows the mean or the strongest response of the electrodes that passed over it (see
-    `KernelBank.responses`). ``magnification`` is mm on the array per mm on the page."""
+    """Picture of delivered pulses at the positions of the electrodes, drawn below the page. Pixels
+    show responses (see `KernelBank.responses`): the mean or the strongest response of all
+    electrodes that passed over a pixel. ``magnification`` is mm on the array per mm on the page."""
 
     strongest = False  # whether a pixel shows the strongest response instead of the mean
     longest_px = 4000
@@ -168,7 +168,7 @@ class DeliveredDrawing(ABC):
         return np.column_stack([pose.x_mm + x * cos - y * sin, pose.y_mm + x * sin + y * cos])
 
     def picture(self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float) -> Grey:
-        """Return the responses in an area in gray, (H, W): 255 for none, 0 for the strongest."""
+        """Draw the responses in an area in gray, (H, W): 255 is none, 0 is the strongest."""
         raster = Raster(shape, self.strongest)
         silent = np.zeros(len(self._position_mm), np.float32)
         for number, pose in self.poses.items():
@@ -256,7 +256,7 @@ def _draw_scale(
     ink: Ink,
     most: int,
 ) -> None:
-    """Draw a scale bar, labeled with its length, that ends at ``end`` (right, top)."""
+    """Draw a scale bar and its length, left of ``end`` (right, top)."""
     right, top = end
     length_mm = next(
         (scale_mm for scale_mm in _SCALES_MM if scale_mm * per_mm <= _SCALE_PART * most), 0.5
@@ -301,7 +301,7 @@ class PageDrawing(DeliveredDrawing):
             self._sheets[sheet.number] = sheet
 
     def under(self) -> Under:
-        """Describe the area of all pages and lines or, without any, of all electrode positions."""
+        """Describe the area of all pages or, if there are none, of all electrode positions."""
         if not (self._sheets or self.poses):
             raise SmartTouchError("nothing to draw, as no pulse was delivered: raise the intensity")
         places_mm = [self.places_mm(pose) for pose in self.poses.values()]

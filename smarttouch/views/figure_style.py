@@ -22,7 +22,7 @@ FORMATS = ("png", "pdf", "svg")
 
 
 def new_figure(width_in: float, height_in: float) -> "Figure":
-    """Return an empty figure. If pyplot is imported, pyplot makes it, so that notebooks show it."""
+    """Return an empty figure. If pyplot is imported, use pyplot: notebooks show its figures."""
     plain: Any = import_extra("matplotlib.figure", "a figure", "plot").Figure
     pyplot = sys.modules.get("matplotlib.pyplot")
     figure: Figure = (plain if pyplot is None else pyplot.figure)(

@@ -83,8 +83,8 @@ def _reach_mm(profile: Profile) -> Array:
 
 
 def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
-    """Return for each class the AF at ``places``, (..., 2), of 1 mA through one electrode. Each
-    array, (D, ..., E), has an entry for each of D fiber directions and each of E electrodes."""
+    """Return for each class an array, (D, ..., E): the activating function at ``places``, (..., 2).
+    There are D fiber directions. Each of E electrodes alone carries 1 mA."""
     skin = profile.skin
     per_ma = {}
     for shown in Afferent:
@@ -97,7 +97,7 @@ def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
 
 
 def _activation(per_ma: Array, kernel: Kernel) -> Array:
-    """Return a kernel's AF at each place, in the fiber direction with the largest AF."""
+    """Return a kernel's activating function at each place: the largest of all directions."""
     return np.asarray((per_ma @ kernel.weights).max(axis=0))
 
 
@@ -141,7 +141,7 @@ def draw_weights(axes: Any, line: Profile, weights: Array) -> None:
 
 
 def draw_field(axes: Any, x: Array, y: Array, af: Array) -> Any:
-    """Draw values at evenly spaced places, (Y, X), as an image, which is faster than a mesh."""
+    """Draw values on an even grid, (Y, X). An image is drawn faster than a mesh."""
     half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
     return axes.imshow(
         af,

@@ -16,7 +16,7 @@ from smarttouch.base.stopping import RunStopped, StopRequest
 from smarttouch.boards.shutdown import current_command, running_command
 
 LOST = ""  # key that reports a closed terminal
-JOIN_S = 0.3  # longest wait at the end for a key that is being handled
+JOIN_S = 0.3  # at the end, longest wait for a key that is being handled
 _TURN_S = 0.05  # longest wait for keys or for the terminal between two drawings
 _before: list[list[Any]] = []  # the terminal's original settings; empty if unchanged
 
@@ -32,8 +32,8 @@ def restore() -> None:
 class Output:
     """Standard stream that buffers output which the terminal does not accept yet.
 
-    A `Terminal` sends the buffer in non-blocking writes. If the stream is not a file, or the
-    system has no such writes, output is not buffered.
+    A `Terminal` sends the buffer in non-blocking writes. If the stream is not a file, or if the
+    system has no non-blocking writes, output is not buffered.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -118,7 +118,7 @@ class Terminal:
             output.open()
         if self._on_key is not None:
             _before.append(termios.tcgetattr(sys.stdin))
-            # TCSANOW: the default waits until output is read, which may never happen.
+            # With TCSANOW, do not wait for pending output: the terminal may never accept it.
             tty.setcbreak(sys.stdin, termios.TCSANOW)
         if self._on_key is not None or self._outputs:
             self._thread.start()

@@ -28,10 +28,10 @@ from smarttouch.views.character_pictures import MOST_ROWS, ArrayPicture, Row, im
 from smarttouch.views.keys_and_signals import Output, Terminal
 
 _REFRESH_S = 0.2
-_LEAST_REST = 20  # smallest ratio of the pause after a redraw to the duration of the redraw
+_LEAST_REST = 20  # after a redraw, pause at least this many times as long as the redraw took
 _KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
-_ROOMY = 20  # terminal height, rows, from which an event may take two rows
-_LEAST_PICTURE = 9  # smallest height of the pictures including titles, rows
+_ROOMY = 20  # in a terminal of at least this many rows, an event may take two rows
+_LEAST_PICTURE = 9  # smallest height of the pictures with titles, rows
 _NAME = 9
 _CLOSES_WITHIN_S = 1.0  # longest wait for the terminal at the end
 
@@ -39,10 +39,10 @@ Rows = tuple[tuple[str, str], ...]
 
 
 class Screen(Listener):
-    """Terminal view of a run, with keys and a summary. It draws in its own thread, so that neither
-    pulses nor keys wait for the terminal. With ``plain``, or if the output is not a terminal, it
-    prints a line for each event and for each new title of the source. ``keys_of`` returns the
-    function that receives keys."""
+    """Terminal view of a run, with keys and a summary. A separate thread draws, so that pulses and
+    keys do not wait for the terminal. With ``plain``, or without a terminal, the view prints
+    a line for each event and for each new title of the source. ``keys_of`` returns the function
+    that receives keys."""
 
     def __init__(
         self,
@@ -93,7 +93,7 @@ class Screen(Listener):
         return ArrayPicture(self._profile)
 
     def start(self, run: RunContext) -> None:
-        """In plain mode, print the title, the keys, and the events before the start."""
+        """In plain mode, print the title, the keys, and all earlier events."""
         if self._plain:
             self._title = run.source.title
             self._print(f"{self._title}, {run.profile.title}, {self._url}")
@@ -288,7 +288,7 @@ class Screen(Listener):
 
 
 def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:
-    """Return as text the latency to the first pulse or, if unknown, to the last byte sent."""
+    """Describe the latency to the first pulse or, if unknown, to the last byte sent."""
     if pulse is not None:
         return f"{pulse.latency_us / 1e3:.1f} ms, to first pulse"
     known_ms = sent.step.input.age_ns / 1e6 + sent.latency_us / 1e3
@@ -296,7 +296,7 @@ def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:
 
 
 def _beside(other: float, spill: float) -> str:
-    """Return as text the largest off-target and the largest spill of slots with several points."""
+    """Describe the largest off-target and spill of slots with several points."""
     if not other and not spill:
         return "no points share a slot"
     return f"{other:.0%} off-target, {spill:.0%} spill"
@@ -325,7 +325,7 @@ class _Rows:
 
 
 def _fitting(words: str, width: int) -> str:
-    """Return a text; if it is wider than ``width``, it is cut and ends with an ellipsis."""
+    """Return a text of at most ``width`` columns. A wider text is cut and gets an ellipsis."""
     if cell_len(words) <= width:
         return words
     return set_cell_size(words, width - 1) + "…" if width > 0 else ""

@@ -24,7 +24,7 @@ _CONTROL = re.compile(
 def printable(text: str) -> str:
     """Return a text with control characters replaced by visible ones.
 
-    Newlines and tabs stay. C0 control characters become their pictures (␛ for Escape), others �.
+    Newlines and tabs stay. C0 control characters become symbols, such as ␛; others become �.
     """
     return _CONTROL.sub(_visible, text)
 
@@ -97,7 +97,7 @@ def draws(shown: "Console | None" = None) -> bool:
 
 
 _WIDEST = 200
-_LONGEST_NAME = 40  # longest text, in characters, of a first column that is not wrapped
+_LONGEST_NAME = 40  # if a text of the first column has more characters, the column is wrapped
 
 
 def print_table(

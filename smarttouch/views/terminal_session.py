@@ -64,7 +64,7 @@ def run_in_terminal(
     plain: bool = False,
     draws: bool = False,
 ) -> None:
-    """Run a source on a display until the source or the user ends the run; print a summary.
+    """Run a source on a display until the source or the user ends the run. Then print a summary.
     Arguments are as for `Runner`. ``keys`` maps additional keys to functions, and ``keys_help``
     describes these keys. ``json_file`` receives the figures of the run. The summary lists
     ``files``. With ``draws``, the run has time to finish pictures after a signal."""
@@ -112,8 +112,8 @@ def run_in_terminal(
 def _operated(
     display: Display, config: RunConfig, controls: MakeControls, steered: bool
 ) -> tuple[RunConfig, MakeControls]:
-    """Return settings and controls of a run. On a finger, the intensity of ``config`` is the
-    maximum, and the run starts at zero if a person steers it (``steered``)."""
+    """Return the settings and controls of a run. On a finger, the intensity of ``config`` is the
+    maximum. If a person steers this run (``steered``), the run starts at zero."""
     if not display.on_a_finger:
         return config, controls
 

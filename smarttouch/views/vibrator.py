@@ -97,7 +97,7 @@ class _WavFile(_Carrier):
 
 class _SoundCard(_Carrier):
     def __init__(self) -> None:
-        self._asked = 0.0, 0.0  # amplitude and end time, s; one tuple for the sound thread
+        self._asked = 0.0, 0.0  # amplitude and end time, s; one tuple: both change at once
         try:
             from sounddevice import OutputStream
 

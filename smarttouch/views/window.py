@@ -36,13 +36,12 @@ _GONE_S = 2.0  # time without a page after which the window closes; a reload tak
 
 
 class Window(Listener):
-    """View of a run in a browser, served from its own thread; one page at a time has control.
+    """View of a run in a browser. One page at a time has control.
 
-    The run's thread only stores the newest step. With ``alone``, the run pauses if the page in
-    control leaves or is lost. With ``blind``, pages hide the stimulus. ``show`` is called with the
-    address of the page. The run begins when a page is open, or after ``waits_s``. A page that sends
-    nothing for ``lost_s`` loses control. With ``stays``, pages show the end of the run until
-    `shut`.
+    The run begins when a page is open, or after ``waits_s``. ``show`` receives the address of the
+    page. With ``blind``, pages hide the stimulus. A page that sends nothing for ``lost_s`` is lost,
+    and loses control. With ``alone``, the run pauses if the page in control leaves or is lost.
+    With ``stays``, pages show the end of the run until `shut`.
     """
 
     def __init__(
@@ -131,7 +130,7 @@ class Window(Listener):
         self.steering.look_after()
 
     def event(self, event: Event) -> None:
-        """Store an event for the pages, but hide answers from participants (``blind``)."""
+        """Store an event for the pages. With ``blind``, omit events that reveal answers."""
         if isinstance(event, RunEnded | RunFailed):
             self._end = str(event), isinstance(event, RunFailed)
         if self._blind and event.reveals:
@@ -302,7 +301,7 @@ def _image(image: NDArray[np.uint8]) -> Message:
 
 
 def sheet_message(sheet: Sheet) -> Message:
-    """Return number, size and top left corner of a page or line of print, as a message."""
+    """Return a message with the number, size and top left corner of a page or line."""
     return {
         "number": sheet.number,
         "size_mm": [round(length_mm, _DIGITS) for length_mm in sheet.page.size_mm],

@@ -28,8 +28,8 @@ LOST_S = 0.7  # time without a message after which a page loses control
 
 
 class Steering:
-    """Control of a run by one page at a time. The first request of a page gives it control, unless
-    another page has control. With ``alone``, the run pauses when the page leaves or is lost."""
+    """Control of a run by one browser page at a time. If no page has control, a request gives a
+    page control. With ``alone``, the run pauses when the page in control leaves or is lost."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class Steering:
         self._stop.ask("the window")
 
     def steer(self, page: int) -> bool:
-        """Give a page control if no other page has it; return whether this page has control now."""
+        """Give a page control if no page has control. Return whether this page has control now."""
         with self._lock:
             if self._page is None:
                 self._alive_s, self._page = time.monotonic(), page
@@ -112,7 +112,7 @@ MOST_PAGES = 16
 MOST_HZ = 60
 MOST_MESSAGES_PER_S = 400  # limit for one page; a page that exceeds it is disconnected
 _AT_ZERO = ("none", "pause")  # requests after which no current flows
-_BEAT_S = 0.2  # longest pause between messages to a page; each answer proves the page alive
+_BEAT_S = 0.2  # longest pause between messages to a page; each answer shows that the page is alive
 _INFORMED_WITHIN_S = 0.5
 
 
@@ -195,13 +195,13 @@ class Pages:
         """Stop the run for a page that has lost its connection."""
         from starlette.responses import Response
 
-        # The run may end, and with it the server, before this request is answered.
+        # The server ends with the run, perhaps before this request is answered.
         with contextlib.suppress(asyncio.CancelledError):
             await self._stop()
         return Response(status_code=204)
 
     async def _stop(self) -> None:
-        # Stop in a thread, because stopping may wait for the board: other pages are still served.
+        # A stop may wait for the board. Use a thread, so that other pages are served meanwhile.
         await asyncio.to_thread(self._state.steering.stop)
 
     async def _connected(self, socket: "WebSocket") -> None:
@@ -231,7 +231,7 @@ class Pages:
             self._state.steering.leave(page.number)
             if not self._pages and self._over.is_set():
                 self._all_informed.set()
-            # The task may have failed because the connection was lost.
+            # Ignore errors: the task fails if the connection is lost.
             await asyncio.gather(feeding, return_exceptions=True)
 
     async def _take(self, page: ConnectedPage, text: str) -> bool:
@@ -279,7 +279,7 @@ class Pages:
     async def _act(self, page: ConnectedPage, what: str) -> None:
         steering = self._state.steering
         if what.startswith("key:"):
-            # Use a thread, so that pages can stop the run while `act` waits for the source.
+            # `act` may wait for the source. Use a thread, so that pages can stop the run meanwhile.
             await asyncio.to_thread(steering.act, page.number, what)
         elif not steering.act(page.number, what) and what in _AT_ZERO:
             # A page without control cannot set the current to zero: end the run instead.

@@ -1,5 +1,5 @@
-"""Web server of the window: runs in its own thread, serves only this machine, and has a secret in
-its address."""
+"""Web server of the window. It runs in a thread, serves only this machine, and has a secret in its
+address."""
 
 import atexit
 import contextlib
@@ -89,7 +89,7 @@ class PageServer:
             self._thread.join(_JOIN_S)
         self._socket.close()
 
-    # Without priority, this thread could be paused while it holds the lock of the interpreter.
+    # Without priority, this thread could be paused while it holds the global interpreter lock.
     @prioritized()
     def _serve(self) -> None:
         self._server.run([self._socket])
@@ -146,9 +146,9 @@ def has_browser() -> bool:
 
 
 def open_browser(address: str) -> None:
-    """Open an address in the desktop's browser, if there is one, without waiting. The address has a
-    secret, and all users of the machine can read the arguments of a program. So the browser gets
-    the name of a file that only this user can read and that redirects to the address."""
+    """Open an address in the desktop's browser, if there is one, without waiting. The browser gets
+    a private file that redirects to the address. The address itself must not be an argument of a
+    program: all users of the machine can read arguments, and the address has a secret."""
     if not has_browser():
         return
 

@@ -18,7 +18,7 @@ export class SlotPlayer {
     return this.timer !== undefined;
   }
 
-  // A whole scan is drawn at once. Slot by slot, a new scan begins when the last scan was shown.
+  // A whole scan is drawn at once. If slots are drawn one by one, a new scan waits for the last.
   take(picture) {
     if (this.slot === null || !this.view.picture) {
       this.view.take(picture);
