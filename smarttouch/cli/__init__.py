@@ -114,7 +114,7 @@ def _outcome(error: BaseException) -> int:
 
 
 def _drop_output() -> None:
-    """Discard output that cannot be written; the interpreter would complain about it at exit."""
+    """Discard output that cannot be written. Otherwise Python reports an error at exit."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

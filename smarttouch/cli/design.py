@@ -1,5 +1,4 @@
-"""``smarttouch design`` and ``profiles``: kernels as tables, JSON and pictures; profiles listed,
-shown and created."""
+"""``smarttouch design`` and ``profiles``: show kernels; list, show and create profiles."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -160,8 +159,8 @@ def new(
     files: Annotated[
         list[Path],
         argument(
-            "The profile to write. For another array, give a CSV table of electrodes first, with "
-            "columns x_mm, y_mm and optionally diameter_mm.",
+            "The profile to write. For a new array, give two files: a CSV table of its electrodes "
+            "(columns x_mm, y_mm and optionally diameter_mm), then the profile.",
             "[TABLE.csv] FILE.toml",
         ),
     ],

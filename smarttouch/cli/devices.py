@@ -74,7 +74,7 @@ def emulate(
 _Url = Annotated[str, argument("A board: kajimoto61:PORT, etactilekit:PORT, link:PORT.", "URL")]
 
 _WALK_MA = 0.5
-_ENDS = ("q", "\x03", "\x04", "")  # keys that end the test; empty: the terminal was closed
+_ENDS = ("q", "\x03", "\x04", "")  # keys that end the test; "" means that the terminal was closed
 
 
 @devices.command()

@@ -72,7 +72,7 @@ def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
 
     expanded.__name__, expanded.__doc__ = command.__name__, command.__doc__
     expanded.__annotations__ = {parameter.name: parameter.annotation for parameter in taken}
-    # Typer reads __signature__. Set it by vars: type checkers do not know the attribute.
+    # Typer reads __signature__. Type checkers do not know this attribute, so set it by vars.
     vars(expanded)["__signature__"] = inspect.Signature(taken)
     return expanded
 
@@ -281,8 +281,8 @@ _NOT_OF_CONFIG = ("finger", "vibrators")  # names for --set that are not setting
 
 
 def or_standard_input(ctx: typer.Context, value: str | None) -> str | None:
-    """Return an argument; for ``-``, the path of a file with the standard input. The file is
-    removed when the command ends."""
+    """Return an argument. For ``-``, write standard input to a file and return the path of this
+    file. The file is removed when the command ends."""
     return str(ctx.with_resource(_file_of_standard_input())) if value == "-" else value
 
 

@@ -254,7 +254,7 @@ def braille(
 
 
 def _print_cells(lines: list[str]) -> None:
-    """Print lines of cells; as ASCII Braille if the output's encoding has no Braille characters."""
+    """Print cells. Use ASCII Braille if the output's encoding has no Braille characters."""
     import sys
 
     from smarttouch.braille.brf import ascii_braille
