@@ -175,7 +175,7 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
     return pdf
 
 
-_STAMP = 100  # if more characters than this are rotated, the whole page is turned upright
+_STAMP = 100  # a page of mostly rotated text is turned if it has more rotated characters
 _LEVEL = 10.0  # angle to the horizontal or vertical, degrees, above which text is slanted
 _FINE = 1000.0  # PDFium returns integer coordinates: request them in 1/1000 point
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")

@@ -212,7 +212,7 @@ def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
 
 def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
     """Return the mean line width of the narrower column, relative to the smallest width of prose.
-    Return 0 for a table, and infinity if the file stores the columns one after the other."""
+    Return 0 for a table or few rows, and infinity if the file stores one column after the other."""
     ends = [_text(row)[:1] + _text(row)[-1:] for row in right]
     if all(map(str.isdigit, ends)) or all(_text(row).endswith(":") for row in left):
         return 0.0  # a table: the right column has only numbers, or the left only labels
