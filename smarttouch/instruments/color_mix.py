@@ -1,8 +1,8 @@
 """Conversion of a vibration into one train of stimuli for the three afferent classes.
 
-RA and PC pulses are phase-locked to the vibration: each cycle gets a pulse or, if the board is too
-slow, every second or third cycle. The rate of SAI pulses follows pressure. One scan sequence can
-contain pulses of several classes.
+RA and PC pulses are phase-locked to the vibration. If the board is too slow for a pulse in each
+cycle, cycles are skipped. The rate of SAI pulses follows pressure. One scan sequence can contain
+pulses of several classes.
 """
 
 import math
@@ -27,8 +27,8 @@ from smarttouch.stimulation.slots import perceived_at
 
 
 def disc(profile: Profile) -> NDArray[np.intp]:
-    """Return the driven electrodes within one pitch of the array's center, (S,), ascending; if
-    there is none, the nearest."""
+    """Return the driven electrodes, (S,), that are at most one pitch from the array's center. If
+    there is none, return the nearest."""
     electrodes = profile.electrodes
     off_mm = electrodes.position_mm[profile.driven] - electrodes.position_mm.mean(axis=0)
     away_mm = np.hypot(off_mm[:, 0], off_mm[:, 1])
@@ -38,8 +38,8 @@ def disc(profile: Profile) -> NDArray[np.intp]:
 def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the electrodes, (S',), whose pulses a person perceives at ``sites``.
 
-    The perceived place differs from the electrode by the profile's shift of the class (paper,
-    Section III-B.4). A site is omitted if its electrode would be outside of the array.
+    The profile's shift of the class leads from an electrode to the perceived place (paper,
+    Section III-B.4). A site is omitted if no driven electrode is perceived there.
     """
     places = perceived_at(profile, afferent)
     if places is None:
@@ -71,7 +71,7 @@ def shortest_us(profile: Profile, slots: int, timing: ScanTiming) -> int:
 
 
 def thinned(time_us: Times, least_us: int) -> Times:
-    """Select as many of the ascending times as possible, with ``least_us`` or more between them."""
+    """Select from ascending times so that the selected times are ``least_us`` or more apart."""
     kept_us, free_us = [], -math.inf
     for pulse_us in time_us.tolist():
         # Times are rounded to µs, so tolerate 1 µs.
@@ -82,13 +82,12 @@ def thinned(time_us: Times, least_us: int) -> Times:
 
 
 def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.intp]]]:
-    """Merge trains of pulses into sequences, each with a period of at least ``least_us``.
+    """Merge trains of pulses into sequences that start at least ``least_us`` apart.
 
-    A train is (K,) int64, µs, ascending, with pulses at least ``least_us`` minus 1 µs apart. A
-    pulse that is due less than half of ``least_us`` after the start of a sequence joins this
-    sequence. Any other pulse starts a sequence, if necessary after the end of the previous one.
-    So no pulse moves by more than half of ``least_us``. Return the start of each sequence and, for
-    each pulse of each train, the index of its sequence.
+    A train has the times of its pulses, (K,) int64, µs, ascending. They are at least ``least_us``
+    minus 1 µs apart. A pulse joins the latest sequence if the sequence began less than half of
+    ``least_us`` ago. Otherwise, the pulse starts a new sequence. Pulses move by at most half of
+    ``least_us``. Return the start of each sequence, and the sequence index of each pulse by train.
     """
     events = sorted(
         (pulse_us, row) for row, train in enumerate(trains) for pulse_us in train.tolist()
@@ -106,8 +105,8 @@ def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.i
 
 
 PC_RATE_HZ = 150.0
-"""Largest rate of PC pulses (our choice): at 250 Hz, where PC is most sensitive, every second cycle
-gets a pulse. Above 100 Hz, PC mode was of little use to the paper's subjects (Section III-C.1)."""
+"""Largest rate of PC pulses (our choice). A vibration of 250 Hz gets a pulse in every second cycle.
+Above 100 Hz, PC mode was of little use to the paper's subjects (Section III-C.1)."""
 VIBRATION_US = 20_000  # interval between updates of a vibrator's amplitude (our choice)
 
 
@@ -144,7 +143,7 @@ class Mixture:
         ]
 
     def at_sites(self, drive: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the activation, (3, E), that applies a drive of each class, (3,), to all sites."""
+        """Return the activation, (3, E): ``drive``, (3,), at each site, and zero elsewhere."""
         activation = np.zeros((len(Afferent), self.electrodes), np.float32)
         activation[:, self.sites] = drive[:, None]
         return activation
@@ -251,14 +250,11 @@ def _drive_at(answer: ReceptorResponse, time_us: Times, duration_s: float) -> ND
 
 
 LONGEST_US = 20_000
-"""Longest time without a stimulus, so that a lifted finger is noticed."""
+"""Longest time without a stimulus. A longer time would delay the stop after a lifted finger."""
 
 
 class ColorSource(StimulusSource):
-    """Source that plays the stimuli of a mixture.
-
-    If a sequence takes longer than planned, the stimuli that become due are merged into one.
-    """
+    """Source that plays the stimuli of a mixture. Stimuli that are due together are merged."""
 
     frames: int
 
@@ -326,9 +322,9 @@ def open_vibration(
 ) -> ColorSource:
     """Open ``vibration:SPEC`` or ``vibration:CSV``, a trace as for `open_trace`.
 
-    Each class is pulsed at the times of its receptors' spikes, at ``sites`` (27,28,35-36 or all).
-    With a display, its board determines which classes can be mixed. If ``vibrated``, a mechanical
-    vibrator stimulates PC.
+    ``sites`` lists electrodes, as in ``27,28,35-36`` or ``all``. They pulse when the receptors of a
+    class would fire. If a display is given, its board determines which classes can be mixed. If
+    ``vibrated``, a mechanical vibrator stimulates PC.
     """
     trace = open_trace(rest, seconds)
     bank, places = load_bank(profile), parse_places(profile, sites)

@@ -70,11 +70,11 @@ class PageMotion(HandMotion):
 
 
 SLIDES = 1.5
-"""Distance, in mouse counts, by which the filtered place lags behind a moving hand. Jitter of one
-count along both axes moves the hand by 1.4 counts, which is less than this lag."""
+"""Distance, in mouse counts, by which the filtered place lags behind a moving hand. It is larger
+than jitter of one count along both axes (1.4)."""
 STICKS = 4.5
-"""Distance, in mouse counts, from the filtered place above which a hand counts as moving. At rest,
-the distance is at most 4.3: the lag (1.5), plus jitter of ±1 count along both axes (2.8)."""
+"""A resting hand starts to move if it is farther than this from the filtered place, in mouse
+counts. Jitter reaches at most 4.3: the lag (1.5) plus ±1 count along both axes (2.8)."""
 _ROUNDING = 1 + 1e-6  # factor that tolerates rounding errors when distances are compared
 
 
@@ -169,8 +169,8 @@ class MouseSource(StimulusSource):
     """Source in which an electrode pulses when a ridge of the texture passes under it.
 
     The pulse rate of an electrode is the texture's spatial frequency times the hand's speed. The
-    texture stays in place, and a hand at rest receives no pulses (paper, Section IV-C). The pose of
-    a stimulus is the array's center on the texture; its image is the texture under the array.
+    texture stays in place, and a hand at rest receives no pulses (paper, Section IV-C). A stimulus
+    has the array's center on the texture as its pose, and the texture under the array as its image.
     """
 
     frames: int
@@ -205,7 +205,7 @@ class MouseSource(StimulusSource):
         self.motion: HandMotion = motion
         self.pointer: PageMotion | None = motion if isinstance(motion, PageMotion) else None
         self.mode: Mode = mode
-        self.merged: int = 0  # ridges without a pulse: the electrode passed two in a frame
+        self.merged: int = 0  # ridges without a pulse, because another passed in the same frame
         self._electrodes = len(profile.electrodes)
         self._limit = PulseLimit(self._electrodes, self.fastest_hz)
         self._afferent: Afferent = mode.afferents[0]
@@ -319,10 +319,10 @@ _MOTION = re.compile("[?&]motion=")
 def open_texture_source(
     rest: str, profile: Profile, *, mode: Mode = Mode.RA, rate_hz: float | None = None
 ) -> MouseSource:
-    """Open ``texture:WHAT?motion=URL``: a texture as for `open_texture`, under a moving hand.
+    """Open ``texture:WHAT?motion=URL``. WHAT is a texture as for `open_texture`.
 
-    The option ``motion`` must be the last, because its URL can have options, as in
-    ``grating:4mm?motion=sweep:3?speed_mm_s=20``. By default a virtual hand sweeps over the texture.
+    URL selects the motion of the hand; by default, a virtual hand sweeps over the texture. Give
+    ``motion`` last, because URL can have options: ``grating:4mm?motion=sweep:3?speed_mm_s=20``.
     """
     what, *motions = _MOTION.split(rest, maxsplit=1)
     surface, reading = open_texture(what or "grating:4mm"), profile_for_reading(profile)

@@ -34,8 +34,8 @@ _NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
 class HandMotion(Device, ABC):
     """Base class of sources of a hand's displacement.
 
-    After the first read, `origin_mm` is the starting place, measured from the texture's top left
-    corner; None means the texture's middle. If `knows_force`, `force_n` is the latest force.
+    After the first read, `origin_mm` is the distance of the starting place from the texture's top
+    left corner, or None for the middle. If `knows_force` is set, `force_n` is the latest force.
     """
 
     duration_s: float | None = None  # duration of the motion; None if endless
@@ -229,7 +229,7 @@ def _round_trip(span_mm: tuple[float, float], lane_mm: float) -> NDArray[np.floa
 
 
 def _timed(points: NDArray[np.float64], speed_mm_s: float) -> NDArray[np.float64]:
-    """Return rows of time and place, (2 N, 3) s, mm, mm: arrival and departure at each point."""
+    """Return the arrival and the departure at each point as rows of time, x, y, (2 N, 3) s, mm."""
     strokes_s = np.hypot(*np.diff(points, axis=0).T) / speed_mm_s
     comes = np.concatenate([[0.0], START_S + np.cumsum(strokes_s + REST_S) - REST_S])
     leaves = comes + REST_S

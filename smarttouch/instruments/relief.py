@@ -1,11 +1,10 @@
 """Reliefs: textures from images and texts, and the pulses of electrodes that move over them.
 
-On a grating an electrode pulses once per cycle of the phase, but an image has no phase. The rule of
-this module causes the same pulses on gratings and suits any image: **one pulse for each grain
-(`grain_mm`) of motion over a raised area**. A place is raised if it is higher than the mean of its
-surroundings. Its depth is its distance to the edge of the raised area, at most half a grain. An
-electrode pulses where depth has a maximum along its path: in the middle of a ridge narrower than a
-grain, or half a grain inside a wide area. Within areas and along ridges, it pulses once per grain.
+An electrode pulses **once for each grain (`grain_mm`) of motion over a raised area**. A ridge
+narrower than a grain causes one pulse, like a ridge of a grating. A place is raised if it is higher
+than the mean of its surroundings. The depth of a place is its distance to the edge of the raised
+area, at most half a grain. The first pulse comes at a maximum of depth along the path: in the
+middle of a narrow ridge, or half a grain inside a wide area.
 """
 
 import math
@@ -31,10 +30,10 @@ from smarttouch.pages.document import Document
 from smarttouch.pages.page_image import require_size_mm
 from smarttouch.pages.prepared_page import print_text
 
-LETTER_MM = 12.0  # height of printed letters, with strokes wide enough for electrodes 2 mm apart
+LETTER_MM = 12.0  # height of letters, whose strokes are wide enough for electrodes 2 mm apart
 _PRINTED_MM = 4.2  # height of the letters that `print_text` draws, ascender to descender
 _MARGIN_MM = 4.0
-_LEAST_RANGE = 7.65  # an image whose gray levels (0 to 255) span at most this range is flat
+_LEAST_RANGE = 7.65  # an image is flat if its gray levels (0 to 255) differ by at most this
 
 
 class Heights(NamedTuple):
@@ -73,7 +72,7 @@ def print_heights(text: str, width_mm: float | None = None) -> Heights:
 
 
 def _stretched(name: str, values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Scale values to the range 0 to 1; the 0.5 % at each end are clipped."""
+    """Scale values to the range 0 to 1, and clip the lowest and the highest 0.5 %."""
     low, high = np.percentile(values, (0.5, 99.5))
     if high - low <= _LEAST_RANGE:
         low, high = values.min(), values.max()
@@ -91,8 +90,8 @@ _LONGEST_SIDE = 32_000  # longest side of a map, px: OpenCV samples with 16-bit 
 _LOWEST, _HIGHEST = 0.25, 0.75
 """A place below `_LOWEST` is never raised, and a place above `_HIGHEST` is always raised. Between
 these heights, the threshold is the mean height of the surroundings."""
-_AROUND = 2.5  # side of a box filter, in grains; two filters in turn have a sigma of one grain
-_BLUR_MM = 0.2  # sigma of the blur that removes noise of photographs; lines of 0.1 mm remain
+_AROUND = 2.5  # side of the box filter, in grains; applied twice, its sigma is one grain
+_BLUR_MM = 0.2  # sigma of the blur against noise in photographs; lines of 0.1 mm remain
 
 
 class Relief(Texture):
@@ -156,10 +155,9 @@ class Relief(Texture):
         """Return the depth of each place within a raised area, (H, W) mm."""
         half = self.grain_mm / 2
         margin = math.ceil(_AROUND * self.grain_mm / self.pixel_mm)
-        # The mean of the surroundings needs heights outside of the map: repeat those of the edge.
-        # Places outside of the map are never raised.
+        # Repeat the heights at the edge, so that places there have surroundings on all sides.
         wide = cv2.copyMakeBorder(self.height, *(margin,) * 4, cv2.BORDER_REPLICATE)
-        # Two box filters approximate a Gaussian, in a time that does not depend on their width.
+        # Two box filters approximate a Gaussian. Their cost does not depend on their width.
         side = 2 * round(_AROUND * self.grain_mm / self.pixel_mm / 2) + 1
         around = cv2.blur(cv2.blur(wide, (side, side)), (side, side))
         blur_mm = min(self.grain_mm / 10, _BLUR_MM)
@@ -177,14 +175,14 @@ _STROKE = 0.15  # smallest depth, in grains, at which an electrode pulses once p
 _STEP = 1.25  # distance between samples along the path, in pixels of the map
 _MOST_SAMPLES = 64
 _FULL = 0.96
-"""Depths above this share of half a grain count as full, because rounding and blur lower depths."""
+"""Share of half a grain from which depth counts as full, because rounding and blur reduce depth."""
 _LEAST_RISE = 0.5
-"""A maximum of depth counts as a crest if depth has risen by at least this share of the maximum
-since the last pulse. Smaller maxima, as on a path along a ridge, are ignored."""
+"""Smallest rise of depth from the last pulse to a crest, as a share of the crest's depth. Smaller
+maxima, as on a path along a ridge, are ignored."""
 
 
 class ReliefFeeler:
-    """Sampler of the depth along the path of each electrode, which finds the maxima."""
+    """Sampler that measures depth along the path of each electrode and finds the crests."""
 
     # Places are complex numbers, x + iy in mm, which is twice as fast as two arrays.
 
@@ -268,7 +266,7 @@ class ReliefFeeler:
         """Return which electrodes passed a crest, the sample of their last crest, and the number of
         electrodes that passed more than one crest."""
         middle = depth[1:-1]
-        # Of samples with equal depth, only the last is a crest. `_inside` finds earlier pulses.
+        # Of successive samples with equal depth, only the last can be a crest.
         crest = (middle >= depth[:-2]) & (middle > depth[2:]) & (middle > self._least_mm)
         crest &= middle - lowest[1:-1] >= _LEAST_RISE * middle
         last = len(crest) - crest[::-1].argmax(axis=0)
@@ -296,8 +294,8 @@ class ReliefFeeler:
     def _on_map(
         self, places: NDArray[np.complex128]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the columns and the rows, (N, E) each, of the electrodes on the map, for N places
-        of the array."""
+        """Return the column and the row of each electrode on the map, both (N, E), for N places of
+        the array."""
         x_mm, y_mm = self._relief.scale_mm
         x, y = places.real / x_mm, places.imag / y_mm
         return (
@@ -323,7 +321,7 @@ _NUMBER = r"([0-9]*\.?[0-9]+)"
 def open_texture(
     spec: str,
     *,
-    # Give dpi or width_mm for an image that states no scale. width_mm sets the width of a text.
+    # An image that states no scale needs dpi or width_mm. For a text, width_mm is its width.
     dpi: float | None = None,
     width_mm: float | None = None,
     # distance between two pulses on a wide raised area, default 2 mm

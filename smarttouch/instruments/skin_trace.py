@@ -1,7 +1,7 @@
 """Traces of force and displacement on the skin, and the responses of receptors.
 
-A trace is given as a line of text such as ``tone:30Hz,8um+press:0.5N``, or as a CSV file. A line is
-the sum of its parts. Each part rises and falls within `RAMP_S`::
+A trace is given as a line of text such as ``tone:30Hz,8um+press:0.5N``, or as a CSV file. The parts
+of a line are added up. The sum rises from zero and falls to zero within `RAMP_S`. Kinds of parts::
 
     tone:250Hz,2um            a sinusoid; the amplitude is half of the peak-to-peak value
     press:0.5N                constant force
@@ -74,7 +74,7 @@ def read_trace(path: Path) -> Trace:
     return Trace(displacement, force, sample_hz, str(path))
 
 
-RAMP_S = 0.05  # duration of the rise and of the fall, each half a period of a cosine (our choice)
+RAMP_S = 0.05  # duration of the rise and of the fall, which have the shape of a cosine (our choice)
 HIGHEST_HZ = 1000.0
 _NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
 _AMPLITUDE = rf"{_NUMBER}(?:um|µm|μm)"
@@ -126,9 +126,8 @@ def _parse(text: str) -> tuple[str, list[float]]:
 
 
 SPAN_DB = 5.0
-"""Level of a vibration, relative to a class's threshold, at which drive becomes full (our choice).
-At about this level, an afferent begins to fire in each cycle. A tone of 30 Hz with this level for
-RA is still below the threshold of PC."""
+"""Drive is full if a vibration is this much above the threshold of a class (our choice). At about
+this level, an afferent begins to fire in each cycle."""
 SAI_FORCE_N = 0.0013
 """Median threshold force of human SAI afferents (Johansson, Vallbo and Westling, Brain Res. 184,
 1980)."""
@@ -137,10 +136,9 @@ SAI_FULL_UM = 1500.0
 """Indentation at which the rate of SAI afferents saturates (J. Neurophysiol. 101:1033, 2009, Table
 1)."""
 SAI_RATE_HZ = 50.0
-"""Default SAI rate at full drive, as in ``pulse.sai_rate_hz``; at the threshold, SAI fires at a
-fifth of this rate."""
-_PAD_S = 1.0  # padding that joins a trace's end to its start for the cyclic Fourier transform
-_GAP_S = 0.05  # longest time below the threshold that does not end a vibration, as in beats
+"""Default SAI rate at full drive. At the threshold, SAI fires at a fifth of this rate."""
+_PAD_S = 1.0  # padding before and after a trace, because the Fourier transform is cyclic
+_GAP_S = 0.05  # longest gap within one vibration: the time during which it is below the threshold
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +180,7 @@ def turning(trace: Trace, afferent: Afferent) -> NDArray[np.complex128]:
 
 
 def cycles(wave: NDArray[np.complex128], driven: NDArray[np.bool_], trace: Trace) -> Array:
-    """Return the samples at which a cycle of an analytic signal begins while ``driven`` is set."""
+    """Return the samples at which cycles of an analytic signal begin, where ``driven`` is set."""
     return _upward(wave, driven, round(_GAP_S * trace.sample_hz))
 
 
@@ -224,8 +222,8 @@ def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
 
 
 def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int) -> Array:
-    """Return the samples at which the real part of ``turning`` crosses zero upward in driven
-    stretches, one per cycle. Up to ``gap`` undriven samples do not end a stretch."""
+    """Return one sample per driven cycle: where the real part of ``turning`` crosses zero upward.
+    A stretch of driven samples goes on across up to ``gap`` undriven samples."""
     turns = (np.unwrap(np.angle(turning)) + math.pi / 2) / (2 * math.pi)
     full_turns = np.floor(turns).astype(np.int64)
     on = np.flatnonzero(driven)

@@ -51,7 +51,7 @@ class Texture(ABC):
 
     @abstractmethod
     def feeler(self, position_mm: NDArray[np.float64]) -> TextureSampler:
-        """Return a sampler for electrodes at places (E, 2) mm from the middle of the array."""
+        """Return a sampler for electrodes at ``position_mm``, (E, 2), from the array's middle."""
 
     @abstractmethod
     def draw(
@@ -61,7 +61,7 @@ class Texture(ABC):
 
 
 class Grating(Texture):
-    """Unbounded grating, rotated clockwise from vertical, with a ridge at the origin."""
+    """Unbounded grating with a ridge at the origin. ``angle_deg`` is clockwise from vertical."""
 
     def __init__(self, pitch_mm: float, angle_deg: float = 0.0) -> None:
         words = f"a grating of {pitch_mm:g} mm"
@@ -90,10 +90,10 @@ class Grating(Texture):
 
 
 class GratingFeeler:
-    """Sampler of a grating: a ridge passes an electrode when its phase crosses an integer.
+    """Sampler of a grating. A ridge passes an electrode when the phase crosses an integer.
 
-    The phase is the spatial frequency, (2,) cycles/mm, times the electrode's place on the texture.
-    So the pulse rate is spatial frequency times speed (paper, Section IV-C).
+    The phase is the electrode's place on the texture times the spatial frequency. So the pulse rate
+    is speed times spatial frequency (paper, Section IV-C).
     """
 
     def __init__(self, per_mm: NDArray[np.float64], position_mm: NDArray[np.float64]) -> None:
