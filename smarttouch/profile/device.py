@@ -15,8 +15,8 @@ class Output(Table):
     """Current outputs of the board."""
 
     kind: Literal["weighted", "three-state", "one-against-all"]
-    """Kind of board: an electrode has its own current ("weighted"), is anode, cathode or insulated
-    ("three-state"), or is driven alone against all others ("one-against-all")."""
+    """Abilities of the board: a current for each electrode ("weighted"); anode, cathode or off for
+    each electrode ("three-state"); one electrode against all others ("one-against-all")."""
     polarities: tuple[Literal["anodic", "cathodic"], ...] = Field(
         default=("anodic", "cathodic"), min_length=1
     )
@@ -70,9 +70,9 @@ class Optics(Table):
     offset_y_mm: Number = 0.0
     """Distance of the array's center below the frame's center, measured on the page."""
     homography: tuple[Number, ...] | None = Field(default=None, min_length=9, max_length=9)
-    """Homography of a tilted camera, row by row, which replaces field, rotation and offset. It maps
-    millimeters on the page, from the center of the array, to pixels of a frame of
-    ``sensor_columns`` by ``sensor_rows``. The center of a pixel has integer coordinates."""
+    """Homography of a tilted camera, row by row. It maps places on the page, mm from the center of
+    the array, to pixels of a frame. Pixel centers have integer coordinates. A given homography
+    replaces field, rotation and offset."""
     flat_field: str | None = None
     """Name of a file in the profile's folder with the dark level and the gain of each pixel."""
 
@@ -90,8 +90,8 @@ class ForceLaw(Table):
     """Coefficients of a polynomial, lowest first, that converts readings of a load cell to
     newtons."""
     source: str | None = Field(default=None, pattern=r"^[a-z0-9_]+:.")
-    """Default source of force for real boards, for example ``hx711:/dev/ttyUSB1``, or ``fixed:0.9``
-    if force is not measured but assumed to be 0.9 N."""
+    """Default source of force for real boards, for example ``hx711:/dev/ttyUSB1``. With
+    ``fixed:0.9``, force is not measured but assumed to be 0.9 N."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -158,11 +158,11 @@ class Frames(Table):
     """Bounds of slots that stimulate several points."""
 
     other: float = Field(default=0.3, gt=0, le=1)
-    """Largest off-target: activation of any other class, relative to the weakest target.
-    With the paper's optimization, a single SAI point on the paper's line array reaches 0.30."""
+    """Largest off-target: activation of any other class, relative to the weakest target. The
+    paper's SAI kernel for line electrodes reaches 0.30."""
     spill: float = Field(default=0.3, gt=0, le=1)
-    """Largest spill: activation of the targets' class more than a pitch away from every target,
-    relative to the weakest target."""
+    """Largest spill: activation of the targets' class at places more than a pitch from every
+    target, relative to the weakest target."""
     uneven: float = Field(default=0.05, gt=0, le=0.5)
     """Largest relative deviation of a target from its requested activation."""
     share: bool | None = None
@@ -230,10 +230,10 @@ class Skin(Table):
     sai_angles_deg: tuple[float, ...] = Field(min_length=1)
     """Directions of horizontal axons. SAI mode targets axons of the first direction."""
     node_spacing_mm: Positive
-    """Spacing of the nodes at which kernel design limits off-target and spill. Arrays of up to 200
-    electrodes need 0.25 or less. Slots with several points are checked with 0.5 or more."""
+    """Distance between the nodes at which the design of kernels checks off-target and spill, mm.
+    Arrays of up to 200 electrodes need 0.25 mm or less."""
     ra_ending: Literal["passive", "active"] = "passive"
-    """Whether the ending of a rising axon can fire; determines the polarity of RA mode."""
+    """Whether the ending of a rising axon can fire. This determines the polarity of RA mode."""
     internode_mm: Positive = 0.079
     """Distance between nodes of Ranvier near the ending of an axon (Nolano et al., 2003)."""
 
@@ -242,5 +242,5 @@ class Kernels(Table):
     """Design of kernels."""
 
     neighbors: int | None = Field(default=None, ge=9, le=1024)
-    """Number of electrodes, nearest to the site, that a kernel can drive; by default all. With 64,
-    designing kernels for thousands of electrodes takes minutes."""
+    """Limit a kernel to this number of electrodes, nearest to the site; by default, no limit. With
+    64, the design of kernels for thousands of electrodes takes minutes."""

@@ -25,7 +25,7 @@ COINCIDENT_MM = 1e-3  # distance below which two electrodes count as duplicates
 class ElectrodeArray:
     """Electrodes on the skin.
 
-    x points right along a line of text, y **downward** as in an image; the origin is the center of
+    x points right along a line of text, y **downward** as in an image. The origin is the center of
     the array. Raises ProfileError for fewer than two electrodes and for electrodes that overlap. An
     electrode within the hole of a ring does not overlap the ring.
     """
@@ -39,7 +39,7 @@ class ElectrodeArray:
     shape: Shape = "disc"
     # Annulus: outer and inner diameter; disc: diameter and 0; rectangle: width and height.
     size_mm: tuple[float, float] = (1.0, 0.0)
-    # Shape and size of each electrode, if they differ; `shape` and `size_mm` are of electrode 0.
+    # Shape and size of each electrode, if they differ. Electrode 0 has `shape` and `size_mm`.
     own: tuple[tuple[Shape, tuple[float, float]], ...] | None = None
 
     def __post_init__(self) -> None:
@@ -49,7 +49,7 @@ class ElectrodeArray:
                 "least two, because current needs a return path",
                 key="electrodes",
             )
-        # Equal electrodes can overlap (`activating_function.py` builds such arrays), not coincide.
+        # Equal electrodes can overlap, as in `activating_function.py`, but must not coincide.
         self.refuse_overlaps(COINCIDENT_MM if self.own is None else None)
 
     def refuse_overlaps(self, least_mm: float | None = None) -> None:
@@ -261,15 +261,14 @@ class FreeLayout(Table):
         own_shapes, shape, size_mm = None, self.shape, self.size_mm
         if self.shapes is not None and self.sizes_mm is not None:
             own_shapes = tuple(zip(self.shapes, self.sizes_mm, strict=True))
-            # For concentric rings, take the distance between their center lines.
+            # The distance between concentric rings is the difference of their mean radii.
             line = [
                 sum(size) / 4 if shape_name == "annulus" else 0.0 for shape_name, size in own_shapes
             ]
             apart = np.maximum(apart, np.abs(np.subtract.outer(line, line)))
             shape, size_mm = own_shapes[0]
         np.fill_diagonal(apart, np.inf)
-        # Take the median distance to the nearest neighbor: one close pair must not determine the
-        # pitch.
+        # Take the median, so that one close pair of electrodes does not determine the pitch.
         pitch = float(np.median(apart.min(axis=1))) if len(position) > 1 else 1.0
         array = ElectrodeArray(position, (pitch, pitch), pitch, shape, size_mm, own_shapes)
         array.refuse_overlaps()

@@ -22,9 +22,9 @@ def require_in_band(ratio: float, what: str) -> None:
 def measured_scale(
     kind: str, before_ua: float | None, volts: float, ohm: float, current_ma: float
 ) -> tuple[float, float | None]:
-    """Return the ratio of the measured current, ``volts`` / ``ohm``, to ``current_ma``. Also
-    return the new scale, µA per count: ``before_ua`` times this ratio, or None if ``before_ua`` is
-    None. Raises BoardError if a result is implausible (see `require_in_band`)."""
+    """Return a ratio and the new scale, µA per count. The ratio is the measured current, ``volts``
+    / ``ohm``, divided by ``current_ma``. The new scale is ``before_ua`` times the ratio, or None
+    without ``before_ua``. Raises BoardError if a result is implausible (see `require_in_band`)."""
     for what, value in (("volts", volts), ("ohm", ohm), ("current_ma", current_ma)):
         if not 0 < value < math.inf:
             raise BoardError(f"{what} {value:g} must be above 0 and finite")

@@ -194,17 +194,17 @@ class Profile(Table):
 
     @property
     def design_total_ma(self) -> float | None:
-        """Limit of a kernel's total current during kernel design, mA; None without a limit.
+        """Limit of a kernel's total current in kernel design, mA, or None.
 
-        None means that slots have a single point and that the profile sets no limit below the
-        project's ceiling. `PointSlots` then refuses kernels above the ceiling.
+        It is None if slots have a single point and the profile's limit is not below the project's
+        ceiling. `PointSlots` then refuses kernels above the ceiling.
         """
         total = self.limits.total_ma or CEILING_TOTAL_MA
         return total if self.shares or total < CEILING_TOTAL_MA else None
 
     @cached_property
     def admittance(self) -> NDArray[np.float64]:
-        """Admittance of each electrode, (E,) mS. A shared current divides in proportion to it."""
+        """Admittance of each electrode, (E,) mS. A larger admittance takes more of the current."""
         impedance = np.asarray(self.output.impedance_kohm, np.float64)
         return np.broadcast_to(1 / impedance, (len(self.electrodes),)).copy()
 
@@ -315,8 +315,8 @@ _RANGE = re.compile("([0-9]{1,6})(?:-([0-9]{1,6}))?")
 def require_driven(
     profile: Profile, sites: str | Collection[int], error: type[SmartTouchError], about: str
 ) -> NDArray[np.intp]:
-    """Return the electrodes in a list such as ``0-7,12`` or a collection, each once, ascending.
-    Raises ``error`` if an electrode does not exist or is masked."""
+    """Return the electrodes of ``sites``, each once, ascending. ``sites`` is a text such as
+    ``0-7,12`` or a collection. Raises ``error`` if an electrode does not exist or is masked."""
     if isinstance(sites, str):
         matches = [_RANGE.fullmatch(part.strip()) for part in sites.split(",")]
         if None in matches:
@@ -348,9 +348,9 @@ _UPPER = (
 
 
 def stricter(own: Profile, other: Profile) -> Profile:
-    """Return a copy of ``own`` with limits, comfort levels and masks at least as strict as those of
-    ``other``. Device, array, kernels and force law do not change. If the profiles differ in the
-    number of electrodes, the smallest current of ``other`` applies to all electrodes."""
+    """Return a copy of ``own`` whose limits, comfort levels and masks are at least as strict as
+    those of ``other``. Device, array, kernels and force law do not change. If the numbers of
+    electrodes differ, the smallest current of ``other`` applies to all electrodes."""
     count = len(own.electrodes)
     same = len(other.electrodes) == count
 

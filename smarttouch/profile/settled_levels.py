@@ -17,7 +17,7 @@ SETTLED_NS = 10_000_000_000  # time of touch after which an unchanged level coun
 
 
 class SettledLevel(Table):
-    """Comfortable level in the log, with the largest current, force and impedance at this level."""
+    """Comfortable level in the log, with the largest current, the force and the impedance."""
 
     time: datetime
     mode: str
@@ -45,7 +45,7 @@ def read_levels(profile: Profile) -> list[SettledLevel]:
 class SettledLevels:
     """Log of the comfortable levels of a run, and offers of the levels of earlier runs.
 
-    An offered level repeats the largest current of a logged level, and is at most ``most``."""
+    An offered level gives the logged current. Levels above ``most`` are not offered."""
 
     def __init__(self, profile: Profile, most: float) -> None:
         self._profile, self._full_ma = profile, float(profile.full_ma.max())
@@ -62,7 +62,7 @@ class SettledLevels:
         self, time_ns: int, mode: str, level: float, force_n: float, observed: Sequence[Any] = ()
     ) -> str:
         """Process a step. ``observed`` has measured sequences, each with its voltages, (S,) V.
-        If the mode has changed, return the offer of a level for this mode, or "" without one."""
+        Return an offer if the mode has changed and a level is logged for it, otherwise ""."""
         begins = mode != self._asked[0] and mode in self.offered
         for sequence, volts in observed:
             peak_ua = np.abs(sequence.current_ua.astype(np.float64)).max(axis=1, initial=1)
@@ -78,7 +78,7 @@ class SettledLevels:
                 current_ma=level * self._full_ma, kohm=self._kohm,
             )  # fmt: skip
             self._new += settled.model_dump_json() + "\n"
-        offered = f"last time {self.offered.get(mode, 0):.2f} was comfortable in mode {mode}"
+        offered = f"level {self.offered.get(mode, 0):.2f} was comfortable last time in mode {mode}"
         return f"{offered}: press L to rise to it" if begins else ""
 
     def save(self) -> None:

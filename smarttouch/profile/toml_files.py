@@ -114,8 +114,8 @@ def as_toml(profile: Profile) -> str:
 
 
 def difference(one: Profile, other: Profile) -> str | None:
-    """Return the first key in which two profiles differ, or None. Names, titles, calibrations and
-    defaults of commands are not compared."""
+    """Return the first key in which two profiles differ, or None. Ignore names, titles,
+    calibrations and defaults of commands."""
     measured = {key for keys in CALIBRATED_KEYS.values() for key in keys}
     values, others = dict(_flat(one)), dict(_flat(other))
     for key in values | others:

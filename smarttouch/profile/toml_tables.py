@@ -12,7 +12,7 @@ from smarttouch.base.files import read_toml
 
 class UnfitError(ValueError):
     """Error about an inconsistent value in a profile. Loading a file converts this error to a
-    `ProfileError` with the same attributes. ``key`` can be omitted: pydantic reports it."""
+    `ProfileError` with the same attributes. Without ``key``, pydantic reports the key."""
 
     def __init__(self, message: str, **attributes: Any) -> None:
         super().__init__(message)
@@ -67,7 +67,7 @@ _KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
 _WHOLE_KINDS = ("bool", "int", "float", "str", "SlotPolicy")
 """Names of types that pydantic inserts between the keys of the file."""
 _NOT_OF_KIND = ("float_type", "tuple_type")
-"""Pydantic errors about a value's type, which are ignored if an item of the value has an error."""
+"""Pydantic errors about the type of a value. An error of an item in the value replaces them."""
 _MOST_IN_A_SENTENCE = 8
 
 _Error = TypeVar("_Error", bound=TableError)
@@ -76,7 +76,7 @@ Found = tuple[str, dict[str, Any]]  # message, and attributes of the error
 
 
 def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
-    """Load a TOML file as a model; the values in ``more`` replace or complete the file's."""
+    """Load a TOML file as a model. Values in ``more`` take precedence over the file."""
     return validated(kind, path, read_toml(path, ProfileError) | more)
 
 

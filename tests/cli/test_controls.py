@@ -81,7 +81,7 @@ def test_the_last_comfortable_level_is_reached_by_a_key(
     os.write(keys, b"q")
     _, err = process.communicate(timeout=60)
     assert process.returncode == 0
-    assert "last time 0.45 was comfortable in mode RA: press L to rise to it" in err
+    assert "level 0.45 was comfortable last time in mode RA: press L to rise to it" in err
     steps = [recorded.step for recorded in RecordedRun(tmp_path / "run.mcap").steps()]
     flowing = [step.sequence.intensity for step in steps]
     assert flowing[0] == 0

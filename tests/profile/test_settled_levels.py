@@ -40,7 +40,7 @@ def test_a_level_that_is_kept_is_offered_the_next_time(profile):
     run.levels.save()
     assert Run(profile).levels.offered == {"RA": pytest.approx(0.45)}
     offers = Run(profile).keep(0.0, 1)
-    assert offers == ["last time 0.45 was comfortable in mode RA: press L to rise to it"]
+    assert offers == ["level 0.45 was comfortable last time in mode RA: press L to rise to it"]
 
 
 @pytest.mark.parametrize(
