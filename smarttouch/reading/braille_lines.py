@@ -51,8 +51,8 @@ class DocumentCells:
 def document_cells(source: ReadingMaterial, table: BrailleTable, progress: Note) -> DocumentCells:
     """Convert a text, a file of cells or a document to cells.
 
-    Calls ``source.note`` with a sentence about omitted parts, and ``progress`` with the number of
-    pages done if a document has several.
+    Calls ``source.note`` with a sentence about omitted parts. If a document has several pages,
+    calls ``progress`` with the number of pages done.
     """
     if source.holds_cells:
         pages = read_brf(Path(source.name), source.note)
@@ -82,7 +82,7 @@ class CellLayout:
 
     @property
     def height(self) -> int:
-        """Number of rows of a cell."""
+        """Number of rows of electrodes of a cell."""
         return (3 if self.eight else 2) * self.dot_y + 1
 
     def dots_of(self, cells: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -3,8 +3,8 @@
 BRLTTY's virtual driver connects to a port of this process. The display sends ``cells 20`` and names
 of BRLTTY's commands. BRLTTY sends the content of the display as ``Visual "Hello"`` and
 ``Braille "1257|15|123|123|135"``: the dots of each cell, separated by bars, with a space for an
-empty cell. A backslash escapes quotes and backslashes. BrlAPI is no alternative: its clients write
-to a display, but cannot read its content.
+empty cell. A backslash escapes quotes and backslashes. BrlAPI does not suffice, because its clients
+cannot read the content of a display.
 """
 
 import contextlib
@@ -59,8 +59,8 @@ class DisplayContent:
     def first_new(self, before: "DisplayContent") -> int | None:
         """Return the index of the first cell to present; None if nothing but the cursor changed.
 
-        If the cursor is at the first changed cell or one cell after it, the user is typing, and the
-        changed cell is presented first. Otherwise a new line is presented from its start.
+        If the cursor is at the first changed cell or directly after it, the user is typing. The
+        first cell to present is then the changed cell, and otherwise the first cell of the line.
         """
         size = max(len(self.cells), len(before.cells))
         now, former = (content.cells.ljust(size, BLANK) for content in (self, before))
@@ -90,8 +90,8 @@ def parse_message(line: bytes) -> tuple[str, str]:
 class BrailleDisplaySource(StimulusSource):
     """Source of the cells that BRLTTY shows, with one electrode for each dot.
 
-    After a change, cells are presented from the first new cell to the last, or from the cursor if
-    only the cursor moved. While BRLTTY is disconnected, nothing is presented.
+    After a change, cells are presented from the first new cell to the last. If only the cursor
+    moved, they are presented from the cursor. Without a connection, nothing is presented.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ class BrailleDisplaySource(StimulusSource):
         return Sheet(number, Page(grey, across / _DOT_PX), (0.0, top_mm))
 
     def read(self, time_ns: int) -> Stimulus | None:
-        """Return a stimulus with the dots under the array; a stale one without a connection."""
+        """Return a stimulus with the dots under the array. Without a connection, it is stale."""
         shown, age_ns = self.shown, 0
         elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
         self._before_ns = time_ns
@@ -252,7 +252,7 @@ class BrailleDisplaySource(StimulusSource):
             self._place = (self._taken.number, step)
             self.frames += 1
         self.title: str = f"{self._name}: {self._taken.text if shown else 'not connected'}"
-        # Columns of the text under the array; columns outside of the text are blank.
+        # Copy the dots under the array. Columns outside of the text stay blank.
         left = step - layout.margin
         window = np.zeros((layout.rows, layout.columns), np.bool_)
         first, last = max(left, 0), min(left + layout.columns, self._dots.shape[1])
@@ -298,7 +298,8 @@ class BrailleDisplaySource(StimulusSource):
             self._go_to(new)
 
     def _step(self) -> int:
-        """Return the column of dots in the array's middle, up to `margin` columns past the text."""
+        """Return the column of dots in the array's middle. It stops `margin` columns after the
+        text."""
         moved_s = max(0.0, self._since_s - REST_S)
         step = self._first * self.layout.cell + int(moved_s * self._columns_a_s + 1e-6)
         return min(step, self._dots.shape[1] + self.layout.margin)

@@ -52,9 +52,8 @@ _SAME_SIGNS = str.maketrans(
 def normalize(text: str) -> str:
     """Return a text without typographic differences.
 
-    The text is normalized by Unicode's NFKC (ligatures become letters, an ellipsis three points).
-    Quotation marks and dashes become plain ones, and white space, including line breaks, becomes
-    single spaces. Upper and lower case are kept.
+    Ligatures become letters, and an ellipsis becomes three points (Unicode's NFKC). Quotation marks
+    and dashes become plain. White space and line breaks become single spaces. Case does not change.
     """
     # Translate before NFKC, because NFKC changes ´ to a space and a combining mark. Translate
     # again after NFKC, because NFKC can create characters of `_SAME_SIGNS`.
@@ -63,7 +62,7 @@ def normalize(text: str) -> str:
 
 
 def character_error_rate(truth: str, text: str) -> float:
-    """Return the Levenshtein distance of normalized texts per character of the true text.
+    """Return the Levenshtein distance of normalized texts, divided by the length of the true text.
 
     The rate is 0 for equal texts, and can exceed 1 if ``text`` is longer than ``truth``.
     """
@@ -162,8 +161,8 @@ _GAP = 0.45  # gap between lines for recognition, relative to their height
 class Legibility:
     """Legibility of letter shapes: error rates and texts recognized by Tesseract.
 
-    ``page_error_rate`` is the error rate of the text recognized on the page itself. It is None if
-    the text recognized on the page serves as the true text.
+    ``page_error_rate`` is the error rate of recognition on the page itself. It is None if no true
+    text was given.
     """
 
     character_error_rate: float
@@ -214,10 +213,10 @@ def legibility_of_shapes(
 
 
 def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
-    """Recognize the text of pictures of lines, placed below each other as on a page.
+    """Place pictures of lines below each other, as on a page, and recognize the text.
 
-    Tesseract recognizes blurred lines better if they have neighbors, and it cannot read a single
-    line without ascenders.
+    Tesseract recognizes blurred lines better if they have neighbors. It cannot read a single line
+    without ascenders.
     """
     strips = [picture.picture(_LINE_PIXELS) for picture in pictures]
     gap = round(_GAP * _LINE_PIXELS)
@@ -239,8 +238,8 @@ _RAMP_US = MOST_STEP_NS // 1000
 class LetterResponse:
     """Response of one finger to one letter.
 
-    The letter is recognized by correlating the map of spikes at the receptors with letter
-    templates. This is a model, so its errors are not those of people.
+    A model recognizes the letter: it compares the map of spikes with letter templates. Its errors
+    are not those of people.
     """
 
     letter: str
@@ -302,8 +301,8 @@ def spikes_and_letter(
     known: Mapping[str, Floats],
     periods: int = _PERIODS,
 ) -> tuple[NDArray[np.intp], str]:
-    """Repeat ``slots`` for ``periods`` periods. ``above``, (A, S), is the drive of A afferents.
-    Return each afferent's spike count, (A,), and the best-matching letter ("" without spikes)."""
+    """Repeat ``slots`` for ``periods`` periods. ``above``, (A, S), is the drive of A afferents in S
+    slots. Return the spike counts, (A,), and the best-matching letter ("" without spikes)."""
     model.reset()
     counts = np.sum([model.fire(slots, above).counts for _ in range(periods)], axis=0)
     places = model.finger.profile.electrodes.position_mm

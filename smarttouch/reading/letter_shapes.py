@@ -28,12 +28,12 @@ from smarttouch.reading.recognition import Note, recognized_lines
 from smarttouch.sources.source_contract import Frame
 
 ENOUGH_ROWS = 8
-"""Enough electrode rows for letters: 4 rows lose half of the characters, 8 rows about 1 %."""
-INK_LEVEL = 128  # gray level of a prepared page below which a pixel counts as ink
+"""Rows of electrodes that letters need. With 4 rows, half of the characters are unreadable."""
+INK_LEVEL = 128  # a pixel of a prepared page is ink if its gray level is below this
 NIB_PIXELS = PIXELS_PER_CELL - 1  # width of a thinned stroke
 _PLAIN = Tone(0.3, 0.3, prepared=True)
-"""Tone curve of lines: an electrode is active if 0.3 of its cell is ink. On 8 rows, 1 to 3 % of
-the characters are unreadable; at 0.5 thin strokes are lost, and 8 to 20 % are unreadable."""
+"""Tone curve of lines. An electrode is active if at least 30 % of its cell is ink. With 50 %, thin
+strokes would be lost."""
 _GRADED = Tone(0.0, 1.0, prepared=True)
 _DRAWN = Tone(0.35, 0.35, prepared=True)
 """Tone curve of single letters, whose strokes are one cell wide."""
@@ -47,7 +47,7 @@ class Shapes:
     """Presentation of text as letter shapes, in lines of print."""
 
     graded: bool = False
-    """Whether activation is proportional to the ink in a cell (for simulations), not 0 or 1."""
+    """Whether activation rises with the ink in a cell (for simulations); otherwise it is 0 or 1."""
 
     @property
     def tone(self) -> Tone:
@@ -57,7 +57,7 @@ class Shapes:
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
     ) -> LineMotion:
-        """Return a motion of lines without steps: each edge of a letter passes each electrode."""
+        """Return a smooth motion of lines, so that each edge of a letter passes each electrode."""
         return LineMotion(usual_speed_mm_s(profile, rate_hz) if speed_mm_s is None else speed_mm_s)
 
     def lines(self, source: ReadingMaterial, profile: Profile) -> Iterator[TouchLine]:
@@ -101,7 +101,7 @@ def _require_fewest_rows(profile: Profile, error: type[SmartTouchError]) -> int:
 
 
 def shape_line(prepared: PreparedPage, index: int, profile: Profile, text: str = "") -> TouchLine:
-    """Return a line of print, scaled so that its height, ascender to descender, fills the array."""
+    """Return a line of print. Its height, from ascender to descender, fills the array."""
     strip = prepared.strip(index, profile.optics.sensor_rows)
     pixel_mm = pixel_pitch_mm(profile)
     half_mm = profile.optics.field_width_mm / 2
@@ -120,7 +120,7 @@ _DRAWN_PX = 400
 
 
 def draw_letter(letter: str, profile: Profile) -> NDArray[np.float32]:
-    """Return the activation, (E,) float32, 0 or 1, of a letter that fills the array.
+    """Return the activation for a letter that fills the array, (E,) float32, 0 or 1.
 
     The letter is centered, keeps its proportions, and has strokes one electrode wide.
     """

@@ -23,11 +23,11 @@ from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
 
 LAND_S = 0.15  # time from the start of a line until the virtual finger presses on it
 SETTLE_S = 0.75
-"""Rest at the start of a line while intensity rises; meanwhile a point marks the start."""
+"""Rest at the start of a line. During the rest, intensity rises, and a point marks the start."""
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
 LONGEST_PAUSE_S = 3600.0
 LINE_GAP_MM = 4.0
-"""Gap between lines in the coordinates of poses, which place all lines below each other."""
+"""Gap between lines in the coordinates of poses. In them, all lines are below each other."""
 AHEAD = 30  # largest number of lines prepared in advance
 BEHIND = 60  # number of past lines that are stored for going back
 _JOIN_S, _AGAIN_S = 0.3, 0.1
@@ -58,8 +58,8 @@ class LineMotion:
 class ReadingSource(OpticalSource):
     """Source of images of lines that pass under the finger.
 
-    Poses are places on a sheet with all lines below each other, at the scale of the array. An error
-    that ``lines`` raises for a line is raised again when the finger arrives at this line.
+    Poses are places on a sheet, at the scale of the array. On the sheet, all lines are below each
+    other. An error in ``lines`` is raised when the finger has read the lines before the error.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ class ReadingSource(OpticalSource):
         self._thread.join()
 
     def _prepare(self, lines: Iterator[TouchLine]) -> None:
-        """Put all lines into the queue, and finally None or, after an error, the exception."""
+        """Put all lines into the queue. Then put None, or the exception if there was an error."""
         count, end = 0, None
         try:
             for line in lines:
@@ -217,7 +217,7 @@ class ReadingSource(OpticalSource):
                 return
 
     def line(self, index: int, wait: bool = False) -> TouchLine | None:
-        """Return a line; None if it does not exist, is no longer stored, or (without ``wait``) is
+        """Return a line, or None if it is not stored. Without ``wait``, also return None if it is
         not ready. Call this only in the thread that calls `read`."""
         while index >= self._count and not self._is_over:
             try:

@@ -11,14 +11,14 @@ import numpy as np
 from smarttouch.pages.page_image import TextLine
 from smarttouch.reading.recognition import Note
 
-_GAP = 1.35  # line distance, relative to the page's median, above which a paragraph begins
-_LARGER = 1.2  # ratio of x-heights above which two lines differ in size of print
+_GAP = 1.35  # a paragraph begins after a larger line distance, relative to the page's median
+_LARGER = 1.2  # lines with a larger ratio of x-heights differ in size of print
 _INDENT = 0.8  # smallest indent of a paragraph, in x-heights
 _SAME_ROW_MM = 0.5  # largest vertical offset between lines that are side by side
 _EVEN = 0.5  # largest difference between the right ends of full lines, in x-heights
-_SHORT = 0.15  # share of the column width that is free after a line, above which the line is short
+_SHORT = 0.15  # a line is short if more than this share of the column is free after it
 _OPEN = 1 / 3  # lines stay separate if at least this share ends early within a sentence
-_LONGEST_VERSE = 60  # largest number of characters of a full line that can be verse
+_LONGEST_VERSE = 60  # a full line with more characters is not a line of verse
 _LEADERS = re.compile(r"(?:\s?[.·…‥•]){4,}\s*;?\s*(?=\S*\d\S*$|[ivxlc]{1,7}\W*$)")
 """Leader dots before a page number or a price; a semicolon can separate cells of a table."""
 _BLANK = re.compile(r"(?:_{3,}|(?:\s?[.…]){5,})\W*$")
@@ -33,9 +33,9 @@ _HYPHENS = "-\u00ad\u2010\u2011\x02\ufffe¬"
 _AND = frozenset(["and", "or", "und", "oder", "bis", "bzw"])
 """Words before which a hyphen is kept, as in "pre- and post-war"."""
 _HYPHENATED = frozenset(["self", "well"])  # first parts of compounds that keep their hyphen
-_SAME_MM = 5.0  # vertical shift between two pages below which a line counts as repeated
-_HEAD_GAP = 1.15  # smallest distance from a running head to the text, in median line distances
-_MOST_HEADS = 4  # largest number of running heads; more repeated lines mean copies of a form
+_SAME_MM = 5.0  # a repeated line shifts vertically by less than this between two pages
+_HEAD_GAP = 1.15  # smallest gap between running head and text, relative to the median line distance
+_MOST_HEADS = 4  # more repeated lines at the edge of a page mean that pages are copies of a form
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) ->
 
 
 def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]:
-    """Remove running heads: lines at the top or bottom of several pages, at the same height, that
-    differ only in page numbers. ``note`` is called with a sentence about the removed lines."""
+    """Remove running heads. They have the same height and text at the top or bottom of several
+    pages, except for the page number. ``note`` is called with a sentence about them."""
     pages = [
         sorted(page, key=lambda line: line.y_mm)
         for _, page in itertools.groupby(lines, lambda line: line.page)
@@ -108,8 +108,8 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
 
 
 def _keys(line: PrintedLine) -> Iterator[str]:
-    """Yield keys. Lines of one running head on several pages share a key: the line's text, or the
-    text with # in place of a number, followed by this number minus the page number."""
+    """Yield keys; lines of one running head share a key. The first key is the text. The others have
+    # in place of a number, and end with the difference of this number and the page number."""
     yield line.text
     for number in re.finditer(r"\d{1,5}", line.text):
         before, after = line.text[: number.start()], line.text[number.end() :]
@@ -128,10 +128,10 @@ def _repeated(line: PrintedLine, same: dict[str, list[PrintedLine]]) -> str:
 def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
     """Join lines to paragraphs, headings, list items and rows of tables.
 
-    A paragraph begins after a larger line distance or a line that ends early, at an indent, at the
-    mark of an item, or at another size of print. It continues in the next column and on the next
-    page. Verse, addresses and entries with leader dots keep their lines. Divided words are joined;
-    a hyphen stays if the text also contains the hyphenated word.
+    A paragraph begins at an indent, at a list item or at another size of print. It also begins
+    after a gap, and after a line that ends early. It continues in the next column or page. Verse,
+    addresses and entries with leader dots keep their lines. Divided words are joined. Their hyphen
+    stays if the text also contains the hyphenated word.
     """
     layout = _Layout(lines)
     compounds = {word.lower() for line in lines for word in re.findall(r"\w+-\w+", line.text)}
@@ -200,8 +200,8 @@ class _Layout:
             yield run
 
     def _measure(self, column: Sequence[int], page: Sequence[PrintedLine]) -> None:
-        """Find the right margin of each line: the rightmost end of all lines in the column with the
-        same size of print. Lines that reach into the neighboring column do not count."""
+        """Find the right margin of each line. The margin is where the longest line of the column in
+        the same size of print ends. Ignore lines that reach into the neighboring column."""
         lines = self._lines
         for k in column:
             near_mm = self._step_mm[lines[k].page] / 2

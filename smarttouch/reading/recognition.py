@@ -30,21 +30,21 @@ PAGE, BLOCK, _LINE = 3, 6, 7  # page segmentation modes of Tesseract
 LARGEST_SIDE = 32_000  # largest side, pixels; Tesseract's limit is 32,767
 _TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # time limit of a call, and extra time for each strip
 _WORD, _COLUMNS = "5", 12
-"""Level of words in Tesseract's table, and number of its columns: level, page, block, paragraph,
-line, word, left, top, width, height, confidence, text."""
+"""Level of rows that describe words in Tesseract's table, and number of columns: level, page,
+block, paragraph, line, word, left, top, width, height, confidence, text."""
 STRIP_MARGIN = 0.25
-"""White margin around a strip, relative to its height. On noisy and blurred strips, 1.6 % of the
-characters were wrong with 0.25, 3.1 % with 0.15, and 2.3 % with 0.45."""
+"""White margin around a strip, relative to its height. On noisy and blurred strips, it caused fewer
+errors than 0.15 and 0.45."""
 _STRIP_PX, _NARROWER = 32, 0.85
-"""Height to which lines are scaled for recognition, ascender to descender; then their width is
+"""Lines are scaled to this height, ascender to descender, for recognition. Then their width is
 multiplied by `_NARROWER`. Larger images take longer, and recognition is not better."""
 SURE = 0.6  # mean confidence below which a warning is given
 _LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "uig", "urd", "yid"])
 """Tesseract's codes of languages written from right to left."""
 _FIRST, _LONGEST = 5, 3  # the first 5 and the longest 3 lines decide the orientation
 _UPRIGHT, _FEWEST_LETTERS = 0.7, 30
-"""A page is upright if `_FEWEST_LETTERS` letters or more have a mean confidence of `_UPRIGHT`."""
-_MORE = 1.15  # factor by which turning a page must increase the number of recognized letters
+"""Smallest mean confidence, and smallest number of letters, of a page that counts as upright."""
+_MORE = 1.15  # a page is turned only if the number of recognized letters rises by this factor
 
 
 @dataclass(frozen=True)
@@ -68,16 +68,16 @@ def recognize(
 ) -> str:
     """Recognize the lines of text on an image, (H, W) uint8, dark on bright.
 
-    ``languages`` are codes such as ``eng+deu``; ``layout`` is `PAGE` or `BLOCK`. Tesseract does not
-    correct images: paper should be white and evenly lit, and the x-height about 20 pixels. Enlarge
-    a sharp image if its x-height is below 10 pixels.
+    ``languages`` are codes such as ``eng+deu``. ``layout`` is `PAGE` or `BLOCK`. Paper should be
+    white and evenly lit. An x-height of about 20 pixels is best. Enlarge a sharp image if its
+    x-height is below 10 pixels.
     """
     lines = itertools.groupby(_words([image], languages, layout, timeout_s), lambda row: row[1:5])
     return "\n".join(_joined(words)[0] for _, words in lines)
 
 
 def recognize_lines(strips: Sequence[NDArray[np.uint8]], languages: str = "eng") -> list[Read]:
-    """Recognize strips, (h, W_i) uint8, with one straight line each, in one call of Tesseract.
+    """Recognize strips, (h, W_i) uint8, in one call of Tesseract. A strip shows one straight line.
 
     Strips are dark on white, from ascender to descender; a height of 24 pixels is sufficient.
     """
@@ -93,10 +93,7 @@ def recognize_lines(strips: Sequence[NDArray[np.uint8]], languages: str = "eng")
 def _words(
     images: Sequence[NDArray[np.uint8]], languages: str, layout: int, timeout_s: float
 ) -> list[list[str]]:
-    """Return the rows of words in Tesseract's table; column 1 is the index of the image.
-
-    Blank and empty images have no words.
-    """
+    """Return the rows of Tesseract's table that describe words; column 1 is the image's index."""
     if not re.fullmatch(r"\w+(\+\w+)*", languages, re.ASCII):
         raise ReadingError(f"languages {languages!r}: give codes such as eng or eng+deu")
     shown = [k for k, image in enumerate(images) if image.size and image.min() < image.max()]
@@ -221,8 +218,8 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
 def _most_legible(
     page: Page, prepared: PreparedPage, options: RecognitionOptions
 ) -> tuple[PreparedPage, int]:
-    """Return the page in the orientation in which most letters are recognized, and the clockwise
-    rotation of the page, degrees."""
+    """Turn the page so that most letters are recognized. Return the page and its clockwise
+    rotation, degrees."""
     best, most_legible = (prepared, 0), _sampled(prepared, options)
     for turn_deg in (90, 180, 270):
         candidate = _turned(page, turn_deg, options)
@@ -261,7 +258,7 @@ def _strip(prepared: PreparedPage, index: int) -> NDArray[np.uint8]:
 
 
 def _legible(read: Iterable[Read]) -> tuple[float, int]:
-    """Return two numbers of recognized letters: weighted by confidence, and unweighted."""
+    """Return the number of recognized letters, weighted by confidence, and unweighted."""
     known = list(read)
     return sum(len(text) * sure for text, sure in known), sum(len(text) for text, _ in known)
 
