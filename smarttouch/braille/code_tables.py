@@ -40,8 +40,8 @@ class BrailleTable:
     def to_cells(self, text: str, leave_out: bool = False) -> str:
         """Translate a text to cells, line by line.
 
-        A character without cells is replaced by its plain form. A character without a plain form
-        raises BrailleError or, with ``leave_out``, is dropped. See `losses`.
+        A character without cells is replaced by its plain form. If it has none, it is dropped if
+        ``leave_out`` is set, and otherwise raises BrailleError. See `losses`.
         """
         plain, forms = self._plain(text)
         if not leave_out and "" in forms.values():
@@ -93,8 +93,8 @@ class BrailleTable:
         return plain, {sign: forms[sign] for sign in dict.fromkeys(text) if sign in forms}
 
     def _lacks(self, sign: str) -> bool:
-        """Return whether a character has no cells of its own. This includes superscripts that the
-        table translates to plain digits or to blanks."""
+        """Return whether the table has no cells for a character. A superscript also counts if the
+        table translates it to a plain digit or to a blank."""
         if sign == "\n":
             return False
         if self.code.missing(sign):
@@ -125,8 +125,8 @@ class BrailleTable:
         return self.name in ("en-1", "en-2")
 
     def doubt(self, cells: str, text: str) -> str | None:
-        """Return a sentence about words that may be decoded wrongly, because encoding ``text``
-        gives other cells than ``cells``; None if the cells are equal."""
+        """Encode ``text`` and compare the result with ``cells``. Return a sentence about words that
+        differ, because ``text`` may be wrong there; None if all words are equal."""
         plain, again = (
             re.split(f"[{BLANK}\n]+", cells_form)
             for cells_form in (self._without_typeforms(cells), self.to_cells(text, leave_out=True))
@@ -183,8 +183,8 @@ class _Known(NamedTuple):
     goes_back: bool
 
 
-# For each table, 1000 sentences were encoded and decoded. de-2 and en-gb-2 restored at most 1 in 30
-# sentences, so `goes_back` is False. de-0 and de-1 lost only brackets, and numbers after a colon.
+# To set `goes_back`, 1000 sentences were encoded and decoded. It is False for de-2 and en-gb-2,
+# which restored at most 1 in 30 sentences.
 _KNOWN = {
     "en-1": _Known("English (UEB), uncontracted", "en-ueb-g1.ctb", True),
     "en-2": _Known("English (UEB), contracted", "en-ueb-g2.ctb", True),
@@ -230,11 +230,11 @@ def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
 
 
 def _tidy(text: str, code: BrailleCode) -> str:
-    """Return a text with plain spaces and composed letters, without invisible characters except
+    """Return a text with plain spaces and composed letters. Drop invisible characters except
     joiners.
 
-    Only letters with a composed form are composed, because Unicode's normalization of the whole
-    text would reorder Arabic marks and decompose Punjabi letters.
+    Letters are composed one by one, because normalization of the whole text would reorder Arabic
+    marks and decompose Punjabi letters.
     """
     plain = re.sub(r"[^\S\n]", " ", text.replace("\r\n", "\n"))
     visible = "".join(
@@ -258,7 +258,7 @@ def _tidy(text: str, code: BrailleCode) -> str:
 
 @cache
 def _excluded() -> dict[str, str]:
-    """Map decomposed letters to the characters that Unicode excludes from composition."""
+    """Map decomposed letters to composed ones, for letters that NFC does not compose."""
     every = map(chr, range(0x0900, 0x1000))
     return {
         parts: character

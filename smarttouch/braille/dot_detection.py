@@ -27,14 +27,14 @@ def shows_dots(grey: NDArray[np.uint8]) -> bool:
 
 
 def _dots(picture: cv2.typing.MatLike) -> NDArray[np.float64]:
-    """Return the centers, (N, 2), of dark spots; N is 0 unless most are round and of one size."""
+    """Return the centers of dark spots, (N, 2), or none unless most are round and equally large."""
     soft = cv2.GaussianBlur(picture, (0, 0), 1).astype(np.float32)
     depth = cv2.blur(soft, (31, 31)) - soft
     dark = (depth > max(4, depth.std())).astype(np.uint8)
     _, _, boxes, middles = cv2.connectedComponentsWithStats(dark)
     width, height, area = boxes[1:, 2:].T
     ascending = np.sort(area)
-    # Take the median weighted by area, which ignores specks of noise.
+    # Weight the median by area, so that it ignores specks of noise.
     typical = ascending[np.searchsorted(ascending.cumsum(), area.sum() / 2)] if len(area) else 0
     alike = (area > typical / 2) & (area < typical * 2)
     alike &= np.maximum(width, height) < 2.5 * np.minimum(width, height)
@@ -51,7 +51,7 @@ def _has_cells(dots: NDArray[np.float64]) -> bool:
     points = dots.astype(np.float32)
     distance, neighbors = cv2.batchDistance(points, points, cv2.CV_32F, normType=cv2.NORM_L2, K=9)
     steps = (dots[neighbors[:, 1:]] - dots[:, None]) @ (1, 1j) / np.median(distance[:, 1])
-    # A grid's four directions are 90° apart: as complex numbers, their fourth powers agree.
+    # The four directions of a grid, as complex numbers, have equal fourth powers.
     to_nearest = steps[:, 0] / abs(steps[:, 0])
     steps /= np.exp(1j * np.angle((to_nearest**4).mean()) / 4)
     right, below, left, above = ((abs(steps - 1j**k) < 0.25).any(axis=1) for k in range(4))

@@ -158,8 +158,8 @@ Translator = Callable[[str], str]
 
 
 def encode_scripts(line: str, encode: Translator, encode_item: Translator) -> str:
-    """Translate a line. Superscripts and subscripts become technical notation. ``encode_item``
-    translates what they contain, ``encode`` all other text."""
+    """Translate a line by ``encode``, but superscripts and subscripts to technical notation.
+    ``encode_item`` translates the content of a superscript or subscript."""
     cells, end = "", 0
     for script in _SCRIPT.finditer(line):
         item = encode_item(script[2].strip("()")).replace("⠐⠤", "⠤").replace("⠤", _MINUS)
@@ -172,7 +172,7 @@ def encode_scripts(line: str, encode: Translator, encode_item: Translator) -> st
 
 
 def _joined(before: str, after: str) -> str:
-    """Join cells. An indicator goes before a letter that would read as a digit of a number."""
+    """Join cells. Insert an indicator if a letter would read as a digit of a number."""
     if _NUMBER_AT_END.search(before):
         after = _DIGIT_AT_START.sub(r"\1⠰", after)
     return before + after
@@ -181,13 +181,13 @@ def _joined(before: str, after: str) -> str:
 def decode_scripts(cells: str, decode: Translator) -> str:
     """Translate cells by ``decode``, and technical notation to superscripts and subscripts.
 
-    Cells of the notation are also contractions, except after a number or a grade 1 indicator.
+    The same cells can be contractions. After a number or a grade 1 indicator, they are notation.
     """
     text, end = "", 0
     for match in _SCRIPT_CELLS.finditer(cells):
         is_sure = match[0][0] == _GRADE_1 or _NUMBER_AT_END.search(cells, 0, match.start())
         if is_sure and (script := _script(match)):
-            # ``decode`` would take a single letter for a contraction.
+            # Mark a single letter, because ``decode`` would read it as a contraction.
             text += decode(_LETTER_AT_END.sub(r"⠰\1", cells[end : match.start()])) + script
             end = match.end()
     return text + decode(cells[end:])

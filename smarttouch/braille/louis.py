@@ -22,7 +22,7 @@ _DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128  # values of ``translationM
 _LOG_OFF = 60000
 _LONGEST_NAME = 200
 """Longest name of a table, bytes. Old versions of liblouis do not check the length of names."""
-_CAPACITIES = (8, 64)  # output characters per input character: first attempt, second attempt
+_CAPACITIES = (8, 64)  # output characters per input character, at each of two attempts
 _UNDEFINED = "\uf8ff"
 """Character that no table defines. Its output shows how a table marks undefined characters."""
 _ESCAPE = re.compile(r"\\([0-9A-F]*)/")  # output for an undefined cell: the numbers of its dots
@@ -32,7 +32,7 @@ _TAG_OF = {"zh": "cmn-Hans", "cmn": "cmn-Hans", "nb": "no", "nn": "no"}
 _PLAIN_KINDS = (" contraction:no dots:6", " contraction:no", " grade:1")
 _PLAIN_ENDS = ("-g0.utb", "-g0.ctb", "-g1.utb", "-g1.ctb", ".utb", ".ctb", ".tbl")
 _TEST_LETTERS = {"he": "אבג"}
-"""Letters of the decoding test (default: abc). Hebrew tables decode abc but maybe not Hebrew."""
+"""Letters of the decoding test (default: abc). A Hebrew table may decode only abc."""
 
 _lock = threading.Lock()  # liblouis has global state
 
@@ -98,8 +98,8 @@ def has_table(table: str) -> bool:
 
 
 def find_table(language: str) -> str | None:
-    """Return the file name of the table with fewest contractions for a tag, ``pt`` or ``pt-BR``.
-    If the country has no table, return a table of the language."""
+    """Return the file name of the table with fewest contractions. ``language`` is a tag, ``pt`` or
+    ``pt-BR``. If the country has no table, return a table of the language."""
     tag = _TAG_OF.get(language) or _TAG_OF.get(language.partition("-")[0]) or language
     main_language = tag.partition("-")[0].lower()
 
@@ -153,7 +153,7 @@ def _library() -> ctypes.CDLL | None:
 
 
 def _goes_both_ways(table: str) -> bool:
-    """Return whether a table also decodes cells, as its metadata or a test with letters shows."""
+    """Return whether a table also decodes cells, according to its metadata or a test."""
     if _query("lou_getTableInfo", table.encode(), b"direction") != "forward":
         return True
     code, letters = LouisCode(table, goes_back=True), _TEST_LETTERS.get(language_of(table), "abc")

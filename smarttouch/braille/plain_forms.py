@@ -20,17 +20,16 @@ _FORMS = QUIET | {
     "}": ")", "`": "'", "°": " degrees ", "§": "section ", "©": "(c)", "®": "(R)", "№": "No.",
     "¡": "", "¿": "", **dict.fromkeys("•◦▪‣●○■□▸►❖➢⁃\uf0b7\uf0a7\uf0d8\uf0fc\uf076", "*"),
 }  # fmt: skip
-"""Plain forms that Unicode does not define. Some bullets have private codes of symbol fonts."""
+"""Plain forms that Unicode does not define. Some codes of bullets are private to symbol fonts."""
 _LATIN = re.compile(r"LATIN (SMALL|CAPITAL) (?:LETTER|LIGATURE) ([A-Z]{1,2})(?: WITH .*)?")
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (?:.* )?([A-Z]+?)(?: SYMBOL)?(?: WITH .*)?")
 
 
 def plain_forms(text: str, lacks: Callable[[str], bool]) -> tuple[str, dict[str, str]]:
-    """Replace characters that a code lacks by plain forms. Return the new text, and a dict from
-    each replaced character to its plain form ("" if it has none).
+    """Replace characters that a code lacks. Return the new text, and each replacement by character.
 
-    A superscript becomes ``^6``, a subscript ``_2``, a fraction after a number ``1 1/2``, so that
-    no number changes its value.
+    A character without a plain form is replaced by "". Numbers keep their value: the superscript ⁶
+    becomes ``^6``, the subscript ₂ becomes ``_2``, and 1½ becomes ``1 1/2``.
     """
     lacking = set(filter(lacks, set(text)))
     for mark, run in itertools.groupby(text, _script):
