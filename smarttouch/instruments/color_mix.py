@@ -122,13 +122,13 @@ class Mixture:
     least_us: int  # shortest period of a sequence that has pulses of all classes
     ideal_us: dict[Afferent, Times]  # (K,) int64, µs: ideal time of each pulse of a class
     carried: dict[Afferent, NDArray[np.intp]]  # (K,): for each pulse, the index of its stimulus
-    left_out: tuple[Afferent, ...]  # classes that respond, but that the board cannot stimulate
+    left_out: tuple[Afferent, ...]  # classes that would respond, but that the board cannot pulse
     vibrated: bool  # whether a mechanical vibrator stimulates PC; its amplitude follows PC drive
     answers: Mapping[Afferent, ReceptorResponse]  # response of each class to the trace
 
     @property
     def mode(self) -> Mode:
-        """Mode of the stimuli: RA, SAI or PC if only this class is pulsed, otherwise color."""
+        """Mode of the stimuli: the pulsed class if there is only one, otherwise color."""
         if len(self.ideal_us) == 1 and not self.vibrated:
             return Mode[next(iter(self.ideal_us)).name]
         return Mode.COLOR

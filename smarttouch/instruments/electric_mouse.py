@@ -32,7 +32,7 @@ from smarttouch.views.delivered_drawing import DeliveredDrawing, Under
 
 _UNBOUNDED_MM = (150.0, 100.0)  # size of the part of an unbounded texture that is shown
 _LONGEST_PX = 1000
-_ROUNDING_MM = 1.0  # largest accepted distance of the pointer from the texture (rounding)
+_ROUNDING_MM = 1.0  # rounding may put the pointer this far outside of the texture
 
 
 class PageMotion(HandMotion):
@@ -104,7 +104,7 @@ class Deadband:
 
 
 class TexturePicture(DeliveredDrawing):
-    """Drawing of the strongest response at each place, because pulses are too few for a mean."""
+    """Drawing of the strongest response at each place. Pulses are too few for a mean response."""
 
     strongest: bool = True
     longest_px: int = 3000

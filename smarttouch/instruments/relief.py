@@ -177,8 +177,8 @@ _MOST_SAMPLES = 64
 _FULL = 0.96
 """Share of half a grain from which depth counts as full, because rounding and blur reduce depth."""
 _LEAST_RISE = 0.5
-"""Smallest rise of depth from the last pulse to a crest, as a share of the crest's depth. Smaller
-maxima, as on a path along a ridge, are ignored."""
+"""Smallest rise of depth from the last pulse to a crest, as a share of the crest's depth. Maxima
+after a smaller rise, as on a path along a ridge, are ignored."""
 
 
 class ReliefFeeler:
@@ -214,7 +214,7 @@ class ReliefFeeler:
         """For each electrode, the place of the array when the electrode entered a raised area."""
 
     def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
-        """Move the array. Motion shorter than the sample distance is carried to the next call."""
+        """Move the array. A motion shorter than the sample distance is added to the next motion."""
         by = complex(x_mm, y_mm) - self._place
         samples = int(abs(by) / self._step_mm)
         if not samples:
