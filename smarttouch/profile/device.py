@@ -27,7 +27,7 @@ class Output(Table):
     masked: tuple[int, ...] = ()
     """Electrodes that are never driven, because they are broken, open or shorted."""
     wiring: tuple[int, ...] | None = None
-    """Number of the board's output for each electrode; by default the electrode's own number."""
+    """Number of the board's output for each electrode; by default, the number of the electrode."""
     ua_per_count: Positive | None = None
     """Measured current of one count of the board's DAC; by default the nominal current."""
 

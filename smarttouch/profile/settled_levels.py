@@ -45,7 +45,7 @@ def read_levels(profile: Profile) -> list[SettledLevel]:
 class SettledLevels:
     """Log of the comfortable levels of a run, and offers of the levels of earlier runs.
 
-    An offered level gives the logged current. Levels above ``most`` are not offered."""
+    An offered level gives the logged current. A level above ``most`` is not offered."""
 
     def __init__(self, profile: Profile, most: float) -> None:
         self._profile, self._full_ma = profile, float(profile.full_ma.max())

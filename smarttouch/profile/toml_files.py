@@ -31,8 +31,8 @@ def list_profiles() -> list[str]:
 
 COARSEST_MM = 0.25  # largest ``skin.node_spacing_mm`` of arrays with up to `MOST_FINE` electrodes
 MOST_FINE = 200
-"""Largest number of electrodes for which `COARSEST_MM` applies. At this spacing, the nodes of a
-larger array might not fit into memory."""
+"""Largest number of electrodes for which `COARSEST_MM` applies. Larger arrays would need too much
+memory at this spacing."""
 
 
 def load_profile(name: str | Path | Profile) -> Profile:

@@ -65,7 +65,7 @@ class Table(BaseModel):
 _LAYOUTS = ("grid", "hexagon-61", "lines", "free")
 _KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
 _WHOLE_KINDS = ("bool", "int", "float", "str", "SlotPolicy")
-"""Names of types that pydantic inserts between the keys of the file."""
+"""Names of types that pydantic inserts into the path of keys."""
 _NOT_OF_KIND = ("float_type", "tuple_type")
 """Pydantic errors about the type of a value. An error of an item in the value replaces them."""
 _MOST_IN_A_SENTENCE = 8
