@@ -68,8 +68,8 @@ def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) ->
 
 
 def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]:
-    """Remove running heads. They have the same height and text at the top or bottom of several
-    pages, except for the page number. ``note`` is called with a sentence about them."""
+    """Remove running heads. They are repeated at the same place at the top or bottom of several
+    pages; only page numbers differ. ``note`` is called with a sentence about them."""
     pages = [
         sorted(page, key=lambda line: line.y_mm)
         for _, page in itertools.groupby(lines, lambda line: line.page)
