@@ -40,8 +40,8 @@ class BrailleTable:
     def to_cells(self, text: str, leave_out: bool = False) -> str:
         """Translate a text to cells, line by line.
 
-        A character without cells is replaced by its plain form. If it has none, it is dropped if
-        ``leave_out`` is set, and otherwise raises BrailleError. See `losses`.
+        A character without cells is replaced by its plain form. A character without a plain form
+        is dropped if ``leave_out`` is set; otherwise, it raises BrailleError. See `losses`.
         """
         plain, forms = self._plain(text)
         if not leave_out and "" in forms.values():

@@ -26,7 +26,7 @@ _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (?:.* )?([A-Z]+?)(?: SYMBOL)?
 
 
 def plain_forms(text: str, lacks: Callable[[str], bool]) -> tuple[str, dict[str, str]]:
-    """Replace characters that a code lacks. Return the new text, and each replacement by character.
+    """Replace characters that a code lacks. Return the new text and a dict of the replacements.
 
     A character without a plain form is replaced by "". Numbers keep their value: the superscript ⁶
     becomes ``^6``, the subscript ₂ becomes ``_2``, and 1½ becomes ``1 1/2``.
