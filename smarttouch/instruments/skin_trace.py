@@ -229,7 +229,7 @@ def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int
     on = np.flatnonzero(driven)
     if not len(on):
         return np.empty(0)
-    # With jitter, the signal can cross zero several times in a cycle: count new maxima of the phase.
+    # With jitter, the phase can cross zero several times in a cycle: count its new maxima.
     # An offset lifts the phase of each driven stretch above that of all earlier stretches.
     starts = on[np.diff(on, prepend=-gap - 1) > gap]
     stretch = np.cumsum(np.bincount(starts, minlength=len(driven))) - 1
