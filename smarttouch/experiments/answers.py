@@ -186,9 +186,9 @@ def parse_cells(data: bytes, path: Path) -> AnswerCells:
 class AnswerFile(Closing):
     """CSV file to which rows are appended; each row is on disk before `append` returns.
 
-    ``about`` holds the values that are equal in all rows. An existing file is continued in its
-    dialect if its rows agree with ``about``. An incomplete last line is removed; other lines do not
-    change. An open file is locked against other runs.
+    ``about`` holds the values that are equal in all rows. An existing file must agree with
+    ``about``. New rows then use its dialect. An incomplete last line is removed. An open file is
+    locked against other runs.
     """
 
     def __init__(
@@ -242,7 +242,7 @@ class AnswerFile(Closing):
         self._file.close()
 
     def _write(self, data: bytes, at: int) -> None:
-        """Write at an offset. Bytes beyond the offset, from a failed write, are removed first."""
+        """Write at an offset, after removing all bytes beyond the offset."""
         try:
             if self._file.seek(0, os.SEEK_END) > at:
                 self._file.truncate(at)
@@ -331,15 +331,13 @@ class AnswerTable:
 
 def read_table(
     path: Path,
-    # x, y: columns of comparison and success. Columns `standard`, `comparison_interval` and
-    # `response` are optional.
-    x: str = "comparison",
-    y: str = "success",
+    x: str = "comparison",  # name of the column of comparisons
+    y: str = "success",  # name of the column of answers
 ) -> AnswerTable:
     """Read comparisons and answers from a CSV file, see `parse_cells`.
 
-    A success is 1, true, yes or correct; a failure 0, false, no or incorrect. An empty cell means
-    no answer.
+    A success is 1, true, yes or correct. A failure is 0, false, no or incorrect. An empty cell
+    means no answer. Columns `standard`, `comparison_interval` and `response` are optional.
     """
     table = parse_cells(read_bytes(path, ExperimentError), path)
     for option, name in (("x", x), ("y", y)):

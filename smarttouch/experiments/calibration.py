@@ -37,12 +37,12 @@ _LIBRARIES = {"opencv": "opencv-contrib-python-headless", "numpy": "numpy", "sci
 
 
 class ProfileFile:
-    """Copy of a profile in which a calibration sets keys. `write` stores it in a ``.toml`` file.
+    """Copy of a profile, to which a calibration adds results. `write` stores it as a TOML file.
 
-    ``start`` names a shipped profile or a file. The copy keeps its comments and all keys that are
-    not set. With ``overwrite`` an existing output is replaced. With ``update`` the output is the
-    file ``start`` itself, and is edited. Raises ProfileError if ``start`` is not a profile, and
-    CalibrationError if the output cannot be written.
+    ``start`` names a shipped profile or a file. The copy keeps comments, and all keys that are not
+    set. With ``overwrite``, `write` may replace an existing file. With ``update``, `write` replaces
+    the file ``start``. Raises ProfileError if ``start`` is not a profile, and CalibrationError if
+    the output cannot be written.
     """
 
     def __init__(
@@ -201,7 +201,7 @@ class ContactFound:
         return sorted({*profile.output.masked, *self.broken})
 
     def impedances(self, profile: Profile) -> list[float]:
-        """Return an impedance for each electrode, kΩ; broken ones get the median of the others."""
+        """Return an impedance for each electrode, kΩ. Broken electrodes get the others' median."""
         touching = np.isfinite(self.kohm) & ~np.isin(np.arange(len(self.kohm)), self.broken)
         typical_kohm = float(np.median(self.kohm[touching]))
         return [float(f"{kohm:.4g}") for kohm in np.where(touching, self.kohm, typical_kohm)]

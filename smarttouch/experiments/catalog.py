@@ -101,8 +101,8 @@ def frequency(setup: Setup) -> Trials:
 
 
 def _faster(setup: Setup, standards: tuple[float, ...], highest_hz: float) -> Procedure:
-    """Return randomly interleaved adaptive procedures, one for the upper threshold of each
-    standard."""
+    """Return adaptive procedures, interleaved at random. Each procedure finds the upper threshold
+    of one standard."""
     procedures = []
     for index, standard in enumerate(standards):
         low, high = _NARROWEST_RATIO * standard, min(WIDEST_RATIO * standard, highest_hz)
@@ -159,7 +159,7 @@ def _currents_ma(setup: Setup) -> tuple[float, float]:
 
 
 def discomfort(setup: Setup) -> Trials:
-    """Ask when a rising current, up to the comfort level of the site, is strong enough."""
+    """Ask when a rising current is strong enough. It rises to the comfort level of the site."""
     slowest_s = _SLOWER * setup.profile.limits.ramp_s
     if setup.train_s is not None and setup.train_s < slowest_s:
         raise ExperimentError(
@@ -221,8 +221,8 @@ def localization(setup: Setup) -> Trials:
 def softness(setup: Setup) -> Trials:
     """Ask which of two points is softer while the finger moves (paper, Section III-B.2).
 
-    The pulse rate of one point follows the finger's force, as on a hard object. The comparison is
-    the softness of the other point, whose pulse rate is constant at softness 1.
+    One point feels hard, because its pulse rate follows the finger's force. The comparison is the
+    softness of the other point. At softness 1, its pulse rate is constant.
     """
     if setup.afferent is not Afferent.SAI:
         raise ExperimentError("softness is felt through SAI: give --mode SAI")
@@ -250,7 +250,7 @@ CATALOG = {
         "is a pulse train felt: threshold current, mA", detection, ADAPTIVE
     ),
     "discomfort": Experiment(
-        "when is a rising current strong enough: current, mA", discomfort, (LIMITS,), 10.0
+        "current, mA, at which a rising current is strong enough", discomfort, (LIMITS,), 10.0
     ),
     "localization": Experiment("is the second point left or right: offset, mm", localization),
     "softness": Experiment(

@@ -24,8 +24,8 @@ _TOLERANCE = 1e-6  # largest allowed error, relative or absolute, of a condition
 class ExperimentSession:
     """One run of an experiment: the remaining trials and the file of answers.
 
-    A session resumes by sending the answers in the file to the generator of trials again. The
-    generator is deterministic, so it then yields the first trial that has no row in the file.
+    To resume, a session sends the answers in the file to the generator of trials. The generator is
+    deterministic, so it then yields the first trial that has no row in the file.
     """
 
     setup: Setup
@@ -141,7 +141,7 @@ def _next(trials: Trials, answer: Answer) -> Trial | None:
 def _is_same(trial: Trial, row: Row) -> bool:
     condition = trial.condition
     pairs = [(condition.standard, row["standard"] or 0.0)]
-    # A comparison that the participant's keys determine is NaN, and cannot be checked.
+    # If keys of the participant determine the comparison, it is NaN and cannot be checked.
     if not math.isnan(condition.comparison):
         pairs.append((condition.comparison, _comparison(row)))
     interval = condition.comparison_interval or None
@@ -172,7 +172,7 @@ def session_name(experiment: str, participant: str, session: str) -> tuple[str, 
 
 
 def numbered(path: Path) -> Path:
-    """Return the path, or, if the file exists, the path with the next free number."""
+    """Return the path. If the file exists, return the path with the next free number."""
     names = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
     return (
         next(candidate for candidate in names if not candidate.exists()) if path.exists() else path

@@ -1,4 +1,4 @@
-"""Thresholds from answers for each standard, or reasons why there are none; tables and figures."""
+"""Thresholds for each standard, or the reason why there is none. Tables and figures."""
 
 import math
 from collections.abc import Sequence
@@ -172,8 +172,8 @@ def _chance_of_flat(fitted: Fit, share: float) -> float:
 def _guessing(answers: Answers, model: Model) -> float:
     """Return the share of successes of a participant who guesses.
 
-    If a success is a correct answer, the share is known. Otherwise return the observed share, which
-    weakens `_chance_of_flat`: adaptive procedures keep the observed share nearly constant.
+    If a success is a correct answer, the share is known. Otherwise return the observed share. The
+    test is then weaker, because adaptive procedures keep the observed share nearly constant.
     """
     if not isinstance(model.guess, str) and model.guess > 0:
         return model.guess
@@ -283,8 +283,8 @@ def discrimination_figure(series: Sequence[Series]) -> "Figure":
 
 
 def _draw_shares(axes: Any, finding: Finding, unit: float, color: str, label: str) -> None:
-    """Draw shares of successes as dots sized by the number of answers, the fitted curve, and the
-    interval of the threshold. The abscissa is the stimulus divided by ``unit``."""
+    """Draw shares of successes as dots, the fitted curve, and the interval of the threshold. Larger
+    dots have more answers. The abscissa is the stimulus divided by ``unit``."""
     stimulus, n, k = finding.counts
     size = 8 + 2 * np.minimum(n, 10)
     axes.scatter(stimulus / unit, k / n, size, color=[color], label=label, lw=0, zorder=3)
@@ -312,7 +312,7 @@ def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
             ]
             standard, *bounded = np.array(rows).T
             value, low, high = np.array(bounded) / standard - 1
-            # Draw an undetermined end of an interval as far from the value as the value is from 0.
+            # Draw an undetermined end of an interval as if it were at 0 or at twice the value.
             reach = np.array([value - low, high - value])
             reach = np.where(np.isinf(reach), np.abs(value), reach).tolist()
             axes.errorbar(standard * aside, value, reach, fmt=style, color=color, ms=4, lw=1,

@@ -1,13 +1,13 @@
 """Simulated observers that judge spikes or answer at random.
 
-The model follows the paper's explanation of its thresholds (Section III-C). Pulses fire RA and, if
-they reach deep enough, PC. RA spikes carry the frequency. People know frequencies from mechanical
-vibration, where the share of PC spikes grows with frequency. So they perceive a pulse train with
-few PC spikes as slower than it is.
+The model follows the paper's explanation of its thresholds (Section III-C). Pulses fire RA
+afferents. Pulses that reach deep enough also fire PC afferents. The rate of RA spikes tells the
+frequency. In mechanical vibration, the share of PC spikes grows with frequency. A person therefore
+perceives a pulse train with few PC spikes as slower than it is.
 
 The soft minimum in `perceived_hz` is an assumption. `RA_LIMIT_HZ`, `BASE_WEBER` and `SHARPNESS` are
-fitted to the paper's RA mode. The limit of RA mode near 65 Hz is therefore an input, not a
-prediction. The results for PC mode are predictions.
+fitted to the paper's results in RA mode, so simulated results in RA mode are not predictions.
+Simulated results in PC mode are predictions.
 """
 
 import math
@@ -42,14 +42,14 @@ class Interval:
 Array = NDArray[np.float64]
 
 BASE_WEBER = 0.125
-"""Weber fraction (75 % correct answers) if the perceived frequency is proportional to the pulse
-rate. Our choice: with it, Weber fractions in RA mode are below 20 % up to 45 Hz (paper, III-C)."""
+"""Weber fraction, at 75 % correct answers, of a participant who perceives the true pulse rate. Our
+choice: simulated Weber fractions in RA mode are then below 20 % up to 45 Hz (paper, III-C)."""
 RA_LIMIT_HZ = 65.0
-"""Highest frequency perceived without PC spikes. Our choice: the middle of the range from 60 to 70
-Hz, in which the paper's bands of RA and PC overlap."""
+"""Highest frequency perceived without PC spikes. Our choice: in the paper, the bands of RA and PC
+overlap from 60 to 70 Hz, and 65 Hz is the middle."""
 SHARPNESS = 3.2
-"""Exponent of the soft minimum in `perceived_hz`. Our choice: the Weber fraction at 75 Hz in RA
-mode becomes 0.68; the paper measured 0.7."""
+"""Exponent of the soft minimum in `perceived_hz`. Our choice: the simulated Weber fraction at 75
+Hz in RA mode is then 0.68. The paper measured 0.7."""
 
 FITTED = (
     "the simulated participant's sense of frequency was fitted to the paper's RA mode "
@@ -65,17 +65,17 @@ SPREAD = math.log1p(BASE_WEBER) / float(math.sqrt(2) * ndtri(0.75))
 
 @cache
 def _learned() -> tuple[Array, Array]:
-    """Return frequencies of vibration, Hz, and the ratio of PC to RA spikes at each."""
-    # Stop where PC is most sensitive: `np.interp` needs rising ratios, but above 300 Hz they fall.
+    """Return frequencies of vibration, Hz, and the ratio of PC to RA spikes at each frequency."""
+    # `np.interp` needs rising ratios. Ratios fall above 300 Hz, so stop where PC is most sensitive.
     hz = np.geomspace(RA_LIMIT_HZ, best_hz(Afferent.PC), 200)
     return hz, sensitivity(Afferent.PC, hz) / sensitivity(Afferent.RA, hz)
 
 
 def believable_hz(ratio: float) -> float:
-    """Return the highest frequency, Hz, that is perceived at a ratio of PC to RA spikes.
+    """Return the frequency, Hz, of a mechanical vibration that evokes a ratio of PC to RA spikes.
 
-    A mechanical vibration of this frequency evokes the same ratio: the sensitivity of PC divided by
-    that of RA (paper, Fig. 2). Without PC spikes the result is `RA_LIMIT_HZ`.
+    No higher frequency is perceived at this ratio. A vibration evokes the ratio of the sensitivity
+    of PC to the sensitivity of RA (paper, Fig. 2). Without PC spikes, return `RA_LIMIT_HZ`.
     """
     hz, ratios = _learned()
     return float(np.interp(ratio, ratios, hz))
@@ -113,8 +113,8 @@ class Response:
 
     @property
     def hz(self) -> float:
-        """Spike rate, Hz, of the most active RA afferent. If no RA afferent fires twice, the rate
-        of the most active PC afferent; if no PC afferent fires twice, 0."""
+        """Spike rate, Hz, of the RA afferent with most spikes. If no RA afferent fires twice, PC
+        afferents count instead. If no afferent of either class fires twice, the rate is 0."""
         for afferent in (Afferent.RA, Afferent.PC):
             class_counts = np.where(self.finger.classes == afferent, self.counts, 0)
             if class_counts.max(initial=0) > 1:
@@ -168,8 +168,9 @@ class Nerve:
 
 
 GRATING_LIMIT_MM = 0.94
-"""Groove width of the finest grating whose direction a fingertip identifies (Van Boven and Johnson,
-Neurology 44, 1994). We assume that positions this far apart are discriminated in 75 % of trials."""
+"""Width of the narrowest grooves whose direction a fingertip identifies (Van Boven and Johnson,
+Neurology 44, 1994). We assume that two points at this distance are distinguished in 75 % of trials.
+"""
 
 
 class Observer(Protocol):
@@ -180,8 +181,8 @@ class Observer(Protocol):
     ) -> str | None:
         """Return one of the alternatives, or None for no answer.
 
-        Tasks are ``faster`` and ``softer`` (interval 1 or 2), ``felt`` (y or n) and ``side``
-        (second point left or right: l or r).
+        Alternatives are 1 and 2 (intervals) for the tasks ``faster`` and ``softer``, y and n for
+        ``felt``, l and r (left and right) for ``side``.
         """
         ...
 
@@ -209,14 +210,12 @@ class SimulatedObserver:
     finger: Finger
     seed: int = 0
     # A train is felt in half of the trials if this number of afferents fires in a slot on average.
-    # We choose one afferent in every second slot, because a person can feel the spikes of a single
-    # RA afferent (Vallbo et al. 1984).
+    # Our choice is one afferent in every second slot: a person can feel the spikes of a single RA
+    # afferent (Vallbo et al. 1984).
     felt_afferents: float = 0.5
-    slope: float = 0.1  # standard deviation of the noise in log(afferents per slot)
-    # guess: share of trials without spikes that are answered *felt*; lapse: share of trials whose
-    # answer does not depend on the spikes
-    guess: float = 0.02
-    lapse: float = 0.02
+    slope: float = 0.1  # standard deviation of the noise added to log(afferents per slot)
+    guess: float = 0.02  # share of trials without spikes that are answered *felt*
+    lapse: float = 0.02  # share of trials whose answer does not depend on the spikes
     # standard deviation of a perceived position, mm
     place_mm: float = GRATING_LIMIT_MM / (math.sqrt(2) * float(ndtri(0.75)))
 
@@ -255,14 +254,14 @@ class SimulatedObserver:
         return self._larger(perceived, SPREAD)
 
     def _side(self, intervals: Sequence[Interval]) -> str | None:
-        """Return l or r: the side of the first point on which the second point is perceived."""
+        """Return on which side of the first point the second point is perceived: l or r."""
         at_mm = [self._nerve.of(interval).center_mm[0] for interval in intervals]
         if any(math.isnan(x_mm) for x_mm in at_mm):
             return None
         return "l" if self._larger(np.array(at_mm), self.place_mm) == "1" else "r"
 
     def _softer(self, intervals: Sequence[Interval]) -> str | None:
-        """Return the interval whose rate changes least while the finger moves (paper, III-B.2)."""
+        """Return the interval in which the pulse rate changes least (paper, III-B.2)."""
         if any(len(interval.time_s) < 2 for interval in intervals):
             return None
         changes = [float(np.ptp(np.diff(interval.time_s))) for interval in intervals]
@@ -286,12 +285,12 @@ def make_observer(
 
 
 Starts = dict[int, tuple[int, int]]
-"""Timing of the sequences of an interval, by sequence number: start of the sequence, ns, and
-discharge after each slot of the sequence, µs."""
+"""Sequences of an interval. Key: number of the sequence. Value: start of the sequence, ns, and
+duration of the discharge after each slot, µs."""
 
 
 def interval_of(pulses: Pulses, starts: Starts) -> Interval:
-    """Select the pulses of one interval from those that `take_pulses` returned."""
+    """Select the pulses of one interval from the result of `take_pulses`."""
     number, width_us, current_ua = pulses
     mine = np.isin(number, list(starts))
     number, width_us, current_ua = number[mine], width_us[mine], current_ua[mine]

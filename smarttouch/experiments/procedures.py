@@ -23,11 +23,9 @@ class Condition:
     comparison: float  # NaN if the keys of the participant determine it
     # interval with the comparison, 1 or 2; 0 if there is a single interval
     comparison_interval: int = 0
-    # numbers of the repetition, of the condition, and of the trial in the repetition (PsychoPy:
-    # thisRepN, thisIndex, thisTrialN)
-    repetition: int = 0
-    index: int = 0
-    trial: int = 0
+    repetition: int = 0  # number of the repetition (thisRepN in PsychoPy)
+    index: int = 0  # number of the condition (thisIndex in PsychoPy)
+    trial: int = 0  # number of the trial in the repetition (thisTrialN in PsychoPy)
 
 
 Procedure = Generator[Condition, bool | None, None]
@@ -60,8 +58,8 @@ STANDARDS_HZ = (15.0, 30.0, 45.0, 60.0, 75.0)
 """Standards of the paper's frequency discrimination (Section III.C)."""
 WIDEST_RATIO = 2.0  # comparisons are 0.5 to 2 times the standard (Section III.C)
 RATIOS = tuple(WIDEST_RATIO ** (step / 9) for step in range(-9, 10, 2))
-"""Ten ratios, evenly spaced on a logarithmic axis and symmetric about 1. The ratio 1 is left out,
-because neither answer would be correct."""
+"""Ten ratios from 1/2 to 2, in equal logarithmic steps. The ratio 1 is left out, because neither
+answer would be correct."""
 REPETITIONS = 10  # trials of each pair of standard and comparison (Section III.C)
 
 
@@ -69,9 +67,9 @@ def ratio_pairs(
     # Each comparison is a standard times a ratio.
     standards: Sequence[float] = STANDARDS_HZ,
     ratios: Sequence[float] = RATIOS,
-    highest: float = math.inf,  # largest comparison, in the unit of the standards
+    highest: float = math.inf,  # largest allowed standard or comparison
 ) -> list[tuple[float, float]]:
-    """Return pairs of standard and comparison, rounded to 0.001, up to `highest`."""
+    """Return pairs of standard and comparison. Comparisons are rounded to 0.001."""
     pairs = [
         (float(standard), round(standard * ratio, 3))
         for standard in standards
@@ -94,9 +92,8 @@ def constant_stimuli(
 ) -> Procedure:
     """Present each pair a fixed number of times, in a new random order for each repetition.
 
-    With two intervals the comparison comes first in half of the trials of each pair, so a
-    participant who always answers *the first* is correct half the time. A trial without an answer
-    is repeated once, at the end.
+    With two intervals, half of the trials of each pair present the comparison first. A trial
+    without an answer is repeated once, at the end.
     """
     if not pairs or repetitions < 1:
         raise ExperimentError(
@@ -128,7 +125,7 @@ def constant_stimuli(
 
 
 def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
-    """Yield the comparison's interval: 1 or 2 in balanced random order, 0 if there is only one."""
+    """Yield the comparison's interval: 1 or 2 in balanced random order; 0 with one interval."""
     random = np.random.default_rng([seed, 2])
     while True:
         block = [int(interval) for interval in random.permutation([1] * 4 + [2] * 4)][::-1]
@@ -136,18 +133,17 @@ def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
 
 
 _COARSE_FACTOR, _COARSE_REVERSALS = 2.0, 2
-"""The steps before reversal `_COARSE_REVERSALS` are multiplied by `_COARSE_FACTOR` (our choice)."""
+"""Until reversal `_COARSE_REVERSALS`, steps are `_COARSE_FACTOR` times as large (our choice)."""
 _REVERSALS = 14  # number of reversals that ends a staircase
 _PINNED_TRIALS = 4
-"""A staircase stops after this number of answers in a row at one end of the range."""
+"""A staircase stops after this number of successive steps that would leave the range."""
 
 
 def weighted_staircase(
-    # start, lowest, highest: first comparison and range of comparisons, above 0
-    start: float,
-    lowest: float,
-    highest: float,
-    step: float,  # step down, relative to the comparison; see `_COARSE_FACTOR`
+    start: float,  # first comparison, above 0
+    lowest: float,  # smallest comparison, above 0
+    highest: float,  # largest comparison
+    step: float,  # step down, relative to the comparison; first steps are larger
     standard: float = 0.0,  # standard; 0 if there is none
     target: float = 0.75,  # share of successes at which the staircase converges
     most_trials: int = 80,
@@ -156,7 +152,7 @@ def weighted_staircase(
 ) -> Procedure:
     """Lower the comparison after a success, and raise it after a failure.
 
-    Steps up are target / (1 - target) times as large as steps down, so the staircase converges
+    Steps up are target / (1 - target) times as large as steps down. The staircase then converges
     where the share of successes equals the target (Kaernbach, Perception & Psychophysics 49, 1991,
     Eq. 1). A trial without an answer is repeated, and counts toward ``most_trials``.
     """
@@ -190,9 +186,8 @@ _NARROWEST, _WIDEST = 1 / 40, 1.0  # smallest and largest spread, relative to th
 
 
 def quest_plus(
-    # lowest, highest: range of stimuli and of thresholds
-    lowest: float,
-    highest: float,
+    lowest: float,  # smallest stimulus, and smallest possible threshold
+    highest: float,  # largest stimulus, and largest possible threshold
     guess: float = 0.5,  # share of successes by guessing
     standard: float = 0.0,  # standard; 0 if there is none
     most_trials: int = 60,
@@ -200,11 +195,10 @@ def quest_plus(
     seed: int = 0,  # seed of the order of intervals
 ) -> Procedure:
     """Present the stimulus whose answer has the largest expected information (QUEST+, Watson,
-    Journal of Vision 17(3):10, 2017). The posterior is a grid of threshold, slope and lapse rate.
+    Journal of Vision 17(3):10, 2017). The parameters are threshold, slope and lapse rate.
 
-    The expected information is the expected decrease of the posterior's entropy. It equals the
-    entropy of the answer minus the mean entropy of the answer at known parameters. A trial without
-    an answer counts toward ``most_trials``.
+    The expected information is the entropy of the answer, minus the mean entropy of the answer if
+    the parameters were known. A trial without an answer counts toward ``most_trials``.
     """
     low, high = math.log(lowest), math.log(highest)
     places = np.linspace(low, high, _STIMULI)
@@ -236,12 +230,10 @@ def _entropy(likely: Array) -> Array:
 
 def adaptive(
     method: str,  # STAIRCASE or QUESTPLUS
-    # start, step: first comparison and step of a staircase
-    start: float,
-    step: float,
-    # lowest, highest: range of stimuli
-    lowest: float,
-    highest: float,
+    start: float,  # first comparison of a staircase
+    step: float,  # step down of a staircase, relative to the comparison
+    lowest: float,  # smallest stimulus
+    highest: float,  # largest stimulus
     standard: float = 0.0,
     trials: int | None = None,
     two_intervals: bool = True,

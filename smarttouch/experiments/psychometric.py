@@ -1,10 +1,10 @@
 """Fit of the psychometric function ``p = guess + (1 - guess - lapse) F((x - middle) / spread)``.
-p is the probability of a success, F the cumulative normal (as in the paper), and x the stimulus or
-its natural logarithm (Wichmann and Hill, Perception & Psychophysics 63, 2001, Eq. 1).
+p is the probability of a success (Wichmann and Hill, Perception & Psychophysics 63, 2001, Eq. 1).
+F is the cumulative normal, as in the paper. x is the stimulus or its natural logarithm.
 
-Estimates and credible intervals come from the posterior on a grid of parameters. Kuss, Jäkel and
-Wichmann (Journal of Vision 5(5):8, 2005) sample the posterior by Markov chains instead. The grid is
-deterministic, and each estimate lies within its interval.
+Estimates and credible intervals come from the posterior on a grid of parameters. With a grid, the
+same answers always give the same result. Kuss, Jäkel and Wichmann (Journal of Vision 5(5):8, 2005)
+sample the posterior by Markov chains instead.
 """
 
 from dataclasses import dataclass
@@ -28,21 +28,20 @@ QUANTILES = (0.5, 0.025, 0.975)
 """Quantiles of the posterior: the estimate and the ends of its 95 % interval."""
 _MIDDLES, _SPREADS, _LAPSES, _GUESSES = 151, 21, 5, 6
 _NARROWEST, _WIDEST = 1 / 40, 1.0
-"""Smallest and largest spread on the grid, relative to the range of comparisons. Our own choice:
-the 95 % intervals then contain the true threshold for 92 to 98 % of simulated subjects."""
+"""Smallest and largest spread on the grid, relative to the range of comparisons. Our choice: for 92
+to 98 % of simulated subjects, the 95 % interval then contains the true threshold."""
 _EDGE = 0.05
 """Margin at the edge of the grid, relative to the range of comparisons. If a credible interval
 ends in this margin, the end counts as undetermined."""
-_NEGLIGIBLE = 1e-7  # posterior weight below which the finer grid leaves a value out
+_NEGLIGIBLE = 1e-7  # the finer grid leaves out values with a posterior weight below this
 
 
 class Counts(NamedTuple):
     """Trials and successes at each comparison."""
 
     stimulus: Array  # (K,): ascending
-    # n, k: (K,), numbers of answers and of successes
-    n: Array
-    k: Array
+    n: Array  # (K,): number of answers
+    k: Array  # (K,): number of successes
 
 
 class Parameters(NamedTuple):
@@ -50,9 +49,8 @@ class Parameters(NamedTuple):
 
     middle: Array  # x at which F is 0.5
     spread: Array  # standard deviation of F, in units of x
-    # lapse, guess: rates, 0 to 1
-    lapse: Array
-    guess: Array
+    lapse: Array  # lapse rate, 0 to 1
+    guess: Array  # guess rate, 0 to 1
 
 
 class Bounded(NamedTuple):
@@ -68,12 +66,12 @@ class Model:
     """Family of psychometric functions that increase with the stimulus."""
 
     # Lower asymptote. A number is the known guess rate: 0.5 for two intervals, 1/m for m letters.
-    # "equal" is the lapse rate; use it for *which was higher*, with comparisons on both sides of a
-    # standard. "free" is a fitted rate; use it for *felt*, with some trials without a stimulus.
+    # "equal": guess rate and lapse rate are equal, for comparisons on both sides of a standard.
+    # "free": the guess rate is fitted, which needs some trials without a stimulus.
     guess: Guess = "equal"
-    # Share of successes at the threshold, for a participant without lapses. If `guess` is "free",
-    # the participant does not guess either. None means 0.75 if `guess` is "equal" (paper, Section
-    # III.C), 0.5 if `guess` is "free", and otherwise (1 + `guess`) / 2.
+    # Share of successes at the threshold without lapses, and without guesses if `guess` is "free".
+    # None means 0.75 if `guess` is "equal" (paper, Section III.C), 0.5 if `guess` is "free", and
+    # (1 + `guess`) / 2 if `guess` is a number.
     at: float | None = None
     logarithmic: bool = True  # whether x is the logarithm of the stimulus
     most_lapses: float = MOST_LAPSES  # upper bound of the lapse rate
@@ -134,7 +132,8 @@ class Model:
 
 
 def log_likelihood(likely: Array, n: Array, k: Array) -> Array:
-    """Return the log likelihood, (...,), of k successes in n trials with probabilities (..., K)."""
+    """Return the log likelihood, (...,), of k successes in n trials, (K,) each. ``likely`` holds
+    the probability of a success at each comparison, (..., K)."""
     # Clip the probabilities, so that their logarithms are finite.
     likely = np.clip(likely, 1e-9, 1 - 1e-9)
     return np.asarray(np.log(likely) @ k + np.log1p(-likely) @ (n - k))
@@ -158,7 +157,7 @@ class Fit:
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Posterior means, (1,) each, except `middle`, which follows from the median threshold."""
+        """Posterior mean of each parameter, (1,). `middle` instead follows from the threshold."""
         _, spread, lapse, guess = self.functions
         spread = np.exp([self.weights @ np.log(spread)])
         middle = self._quantiles(self.model.level)[0] - ndtri(self.model.level) * spread
@@ -166,7 +165,7 @@ class Fit:
         return Parameters(middle, spread, *others)
 
     def bounded(self, part: float) -> Bounded:
-        """Return the stimulus at which the cumulative normal F equals ``part``, as `Bounded`."""
+        """Return the stimulus at which F equals ``part``, with its credible interval."""
         value, low, high = self._quantiles(part)
         first, last = self.ends
         edge = (1 - _EDGE) * (last - first)
@@ -189,8 +188,8 @@ class Fit:
 def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
     """Fit psychometric functions to answers at two or more comparisons.
 
-    The priors of the middle, the logarithm of the spread, the lapse rate and a free guess rate are
-    uniform. The middles on the grid cover three times the range of comparisons and standard.
+    Priors are uniform for the middle, the logarithm of the spread, the lapse rate and a free guess
+    rate. The grid of middles is three times as wide as the range of comparisons and standard.
     """
     x = model.axis(counts.stimulus)
     finite = model.axis([*counts.stimulus, standard or counts.stimulus[-1]])
@@ -210,7 +209,7 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
 
 
 def _refined(values: Array, weights: Array) -> Array:
-    """Return ``len(values)`` values, evenly spaced over the range of non-negligible weight."""
+    """Return equally many values, evenly spaced, where weights are not negligible."""
     some = np.flatnonzero(weights > _NEGLIGIBLE)
     low, high = values[max(some[0] - 1, 0)], values[min(some[-1] + 1, len(values) - 1)]
     return np.linspace(low, high, len(values))

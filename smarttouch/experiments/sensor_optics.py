@@ -78,10 +78,9 @@ class OpticsFound:
     """Flat field of a sensor, and the unevenness of blank paper before and after correction."""
 
     field: FlatField
-    # uneven_before, uneven_after: standard deviation of gray levels of blank paper, divided by the
-    # mean. With several frames, `uneven_after` comes from frames that did not give the flat field.
+    # Unevenness is the standard deviation of the gray levels of blank paper, divided by their mean.
     uneven_before: float
-    uneven_after: float
+    uneven_after: float  # if there are several frames, from frames not used for the flat field
 
     def sentence(self) -> str:
         """Return the sentence that the profile stores about this result."""
@@ -106,7 +105,7 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
 
 
 def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
-    """Return the unevenness of every second frame. The other frames give the flat field."""
+    """Return the unevenness of every second frame, after correction by the other frames."""
     if min(len(dark), len(white)) > 1:
         field = FlatField.measure(dark[::2], white[::2])
         white = white[1::2]
@@ -158,7 +157,7 @@ class PageTarget:
         margin, side = round(_MARGIN_MM * DOTS_PER_MM), round(self.side_mm * DOTS_PER_MM)
         image = Image.new("L", (side + 2 * margin,) * 2, 255)
         image.paste(Image.fromarray(_board().generateImage((side, side))), (margin, margin))
-        text = f"SmartTouch, this side up: print at 100 %, measure {self.side_mm:g} mm across"
+        text = f"SmartTouch, this side up. Print at 100 %: the square is {self.side_mm:g} mm wide"
         pen, size = ImageDraw.Draw(image), 2.2 * DOTS_PER_MM
         while pen.textlength(text, font_size=size) > image.width - 2 * DOTS_PER_MM:
             size *= 0.9
@@ -208,7 +207,7 @@ def apply(homography: Matrix, points: Matrix) -> NDArray[np.float64]:
 class RegistrationFound:
     """Registration of a sensor with the electrode array, and the quality of the fit."""
 
-    # (3, 3): maps millimeters on the page, relative to the middle of the array, to pixels
+    # (3, 3): maps points on the page, mm from the array's middle, to pixels of the image
     homography: NDArray[np.float64]
     shape: tuple[int, int]  # rows and columns of the image
     electrode_pixel: NDArray[np.float64]  # (E, 2): column and row of the image under each electrode
@@ -233,7 +232,7 @@ class RegistrationFound:
 
 
 def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> RegistrationFound:
-    """Determine the map from page to pixels from an image, (H, W), of the printed target."""
+    """Register the sensor from an image, (H, W), of the printed target."""
     rows, columns = image.shape
     scale = _WORKING_SIDE / min(rows, columns)
     size = round(columns * scale), round(rows * scale)
@@ -273,7 +272,7 @@ def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> 
 def _markers(working: Gray) -> tuple[Matrix, Matrix] | None:
     """Return corners of markers, (N, 2), in modules and in pixels; None if there is no marker."""
     parameters = cv2.aruco.DetectorParameters()
-    # In an enlarged image a module has up to 15 pixels, too many for the default window.
+    # In an enlarged image a module has up to 15 pixels, too many for the default window size.
     parameters.adaptiveThreshWinSizeMax = 53
     detector = cv2.aruco.ArucoDetector(_board().getDictionary(), parameters)
     corners, ids, _ = detector.detectMarkers(working)
@@ -288,7 +287,7 @@ def _markers(working: Gray) -> tuple[Matrix, Matrix] | None:
 def _aligned(working: Gray, modules: Matrix, pixels: Matrix) -> tuple[Matrix, float]:
     """Return the homography from pixels of `picture` to pixels of an image, and the correlation.
 
-    The corners of markers start the fit. Because blur shifts corners, the fit then maximizes the
+    The corners of markers give a first homography. Blur shifts corners, so a fit then maximizes the
     enhanced correlation coefficient of `picture` and image (Evangelidis and Psarakis 2008).
     """
     guess, _ = cv2.findHomography((modules + _QUIET) * _MODULE_PX - 0.5, pixels, 0)

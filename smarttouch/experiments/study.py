@@ -101,7 +101,7 @@ class Choice:
 class StudyRow:
     """Result of one letter on one finger."""
 
-    # profile, anatomy, finger, mode, scan, intensity: the combination; `finger` is a seed
+    # The fields up to `intensity` identify the combination; `finger` is a seed.
     profile: str
     anatomy: str
     finger: int
@@ -208,16 +208,14 @@ def run_study(
     study: Study,
     beside: Path,  # folder to which file names in the study are relative
     folder: Path,  # folder of the results; created if missing
-    # functions that receive a count and the total, of sites (`designing`) or fingers (`progress`)
-    designing: Advance | None = None,
-    progress: Advance | None = None,
+    designing: Advance | None = None,  # called with the numbers of designed sites and of all sites
+    progress: Advance | None = None,  # called with the numbers of finished and of all fingers
 ) -> list[StudyRow]:
     """Run or resume a study, write ``rows.csv``, and return its rows.
 
-    Rows are sorted by profile, anatomy, finger, combination and letter. Fingers run in parallel by
-    `joblib.Parallel`: on all cores, or as set by ``joblib.parallel_config``. Each finished finger
-    has a file of rows in the folder. This file is reused if study, profile, anatomy and `VERSION`
-    have not changed.
+    Rows are sorted by profile, anatomy, finger, combination and letter. `joblib.Parallel` computes
+    several fingers at a time, by default on all cores. The rows of each finger are stored in a file
+    in the folder. A later call reuses this file unless study, profile, anatomy or `VERSION` change.
     """
     parts = folder / _PARTS
     try:
@@ -308,7 +306,7 @@ class Summed:
     """Summary of one combination on all fingers of one anatomy."""
 
     anatomy: str
-    label: str  # values of profile, mode, scan and intensity that vary in the study
+    label: str  # profile, mode, scan and intensity, as far as they vary in the study
     fingers: dict[str, list[float]]  # key: measure; value: mean over letters for each finger
     total_ma: float  # mean total current of a slot
 

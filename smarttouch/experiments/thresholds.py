@@ -29,12 +29,12 @@ from smarttouch.stimulation.safety_limits import LONGEST_RAMP_S
 RISE_S = 6.0  # rise time of the first run from zero to the expected threshold
 REACTION_S = 0.35  # reaction time: the threshold is the current 0.35 s before the key press
 PAUSE_S = (1.0, 2.0)
-"""Range of the random pause before a run, s. After a fixed pause, time would reveal the current."""
+"""Range of the random pause before a run, s. With a fixed pause, participants could count time."""
 START_SHARE = (0.4, 0.7)
-"""Range of a random share of the lowest threshold so far. Later runs rise fast to this current."""
-LEAP = 10  # slope of the fast rise (see `START_SHARE`), relative to the slope after the fast rise
-CEILING_S = 1.0  # time at the largest current after which a run ends
-MOST_APART = 1.4  # largest ratio of the thresholds of two runs; above it, more runs follow
+"""Range of a random share. Later runs rise fast to this share of the lowest threshold so far."""
+LEAP = 10  # slope of the fast rise (see `START_SHARE`), divided by the slope after it
+CEILING_S = 1.0  # a run ends after this time at the largest current
+MOST_APART = 1.4  # more runs follow if the thresholds of two runs have a larger ratio
 EXTRA_RUNS = 2
 HURRIED_S = 0.8
 """Shortest time between the two keys of a run, s. A shorter time suggests a held key or pain."""
@@ -79,8 +79,8 @@ def _whole_ua(current_ma: float) -> float:
 class Thresholds:
     """Detection threshold and comfort level of one electrode."""
 
-    # threshold_ma, comfort_ma: medians of the runs. NaN if the largest current was not felt.
-    # In a run without a second key, the largest current counts as the comfort level.
+    # Medians of the runs; both are NaN if the participant did not feel the largest current.
+    # If a run has no second key, its comfort level is the largest current.
     threshold_ma: float
     comfort_ma: float
     spread: float  # robust standard deviation of the runs' thresholds, divided by their median
@@ -105,14 +105,14 @@ class Thresholds:
 
 @dataclass
 class AscendingLimits:
-    """Method of ascending limits at one electrode. In each run of rising current the first key
-    means *felt*, the second *strong enough*."""
+    """Method of ascending limits at one electrode. Current rises in each run. The first key means
+    *felt*, the second key means *strong enough*."""
 
     ceiling_ma: float  # largest current of a run
     expected_ma: float  # expected threshold; sets the slope of the current
     repeats: int = 3  # number of runs, if their thresholds agree
     fastest_ma_s: float = float("inf")  # largest slope of the current
-    seed: int | tuple[int, ...] = 0  # seed of pauses and starts
+    seed: int | tuple[int, ...] = 0  # seed of the random pauses and shares (`START_SHARE`)
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
@@ -147,7 +147,7 @@ class AscendingLimits:
         return not apart or len(thresholds_ma) >= self.repeats + EXTRA_RUNS
 
     def _rise(self) -> Generator[float, bool | None, tuple[float, float] | None]:
-        """Yield the currents of a run. Return threshold and comfort level; None means repeat."""
+        """Yield the currents of a run. Return threshold and comfort level, or None to repeat."""
         pause, levels, threshold_ma, felt_at = self._draw_pause(), [0.0], math.nan, 0
         share = self._random.uniform(*START_SHARE) if self._runs else 0.0
         start_ma = share * min((run_ma for run_ma, _ in self._runs), default=0.0)
@@ -173,7 +173,7 @@ class AscendingLimits:
             if pressed:
                 threshold_ma, felt_at = levels[-1 - _REACTION], steps
             elif steps > _CEILING and levels[-1 - _CEILING] >= self.ceiling_ma:
-                # The current was at the ceiling `CEILING_S` ago, and has not fallen: end the run.
+                # The current has been at the ceiling for `CEILING_S`: end the run.
                 return threshold_ma, self.ceiling_ma if felt_at else math.nan
 
     def _is_hurried(self, steps: int, felt_at: int) -> bool:
@@ -196,7 +196,7 @@ _RESULTS = tuple(each.name for each in fields(Thresholds))
 
 
 class Progress(AnswerFile):
-    """File with the results of a threshold session, with which an interrupted session continues.
+    """File with the results of a threshold session, from which an interrupted session continues.
 
     Each result is on disk before `keep` returns. An open file is locked. `close` removes a file
     without results. Raises ExperimentError if an existing file has settings other than ``about``.
@@ -251,7 +251,7 @@ def threshold_trials(
 ) -> Trials:
     """Measure one electrode after another. Repeat an electrode once if its results are unusable."""
     measuring = measuring_profile(profile)
-    # At a low pulse rate, lengthen the train: it needs two pulses.
+    # A train needs two pulses, so lengthen it at a low pulse rate.
     setup = Setup(measuring, Afferent.RA, train_s=max(0.8, 2 / measuring.pulse.rate_hz))
     for site in sites:
         if site in progress.found:

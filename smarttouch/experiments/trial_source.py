@@ -19,20 +19,19 @@ from smarttouch.stimulation.safety_gate import FIRST_NS, MOST_STEP_NS
 from smarttouch.stimulation.scheduler import rate_share
 
 PAUSE_S = 0.5  # shortest time between an answer and the next trial
-PATIENCE_S = 10.0  # longest wait for the current of a trial, with a simulated participant
+PATIENCE_S = 10.0  # longest wait until a trial begins, with a simulated participant
 MOST_SPOILED = 10  # largest number of times that a trial is repeated after a loss of current
 _SPOILED = 0.5
-"""Smallest allowed intensity, relative to the requested intensity. Below it, current counts as lost
-and the trial is repeated. Trials with exact currents use `STEADY` instead."""
+"""A trial is repeated if intensity falls below this share of the requested intensity. For trials
+with exact currents, the share is `STEADY`."""
 _NUMBERS = ("first", "second")
 
 
 class TrialSource(Program):
     """Source that presents trials and sends each answer to their generator.
 
-    A trial begins when the current has reached the intensity that the user chose. The trial is
-    repeated if its current is lost, by a pause, a lifted finger or a lost board. An observer, if
-    given, answers instead of a person.
+    A trial begins when the current has reached the user's intensity. A trial is repeated if the
+    current is lost. An observer, if given, answers instead of a person.
     """
 
     fixed_mode = True
@@ -155,7 +154,7 @@ class TrialSource(Program):
         return self._ask(trial) if self._observer is None else self._decided(trial, felt)
 
     def _open(self, raise_level: Callable[[], float]) -> None:
-        """Call ``raise_level``, with pauses, until it returns 0 because the level is reached."""
+        """Call ``raise_level`` until it returns 0, which means that the level is reached."""
         try:
             while raise_level():
                 self._say("")
@@ -209,7 +208,7 @@ class TrialSource(Program):
                     self._pressed.popleft()
             if self._wanted is None:
                 return None
-            # The gate allows a first level above zero as high as the ramp gets in `FIRST_NS`.
+            # The gate limits the first level above zero to what the ramp reaches in `FIRST_NS`.
             risen_ns = min(since_ns - before_ns, MOST_STEP_NS) if level else FIRST_NS
             most_level = level + risen_ns / 1e9 / self._profile.limits.ramp_s
             level, before_ns = min(1.0, self._wanted / full_ma, most_level), since_ns

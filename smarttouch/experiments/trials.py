@@ -54,9 +54,9 @@ class Train:
 
 
 Course = Generator[float, bool | None, Any]
-"""Generator that sets the current of one electrode from key presses. It yields a current, mA, for
-each `STEP_S`, and receives whether a key was pressed, or None if the current was lost and rises
-from zero again. Its return value becomes `Answer.found`; a string becomes the response as well."""
+"""Generator that sets the current of one electrode from key presses. Every `STEP_S` it yields a
+current, mA, and receives whether a key was pressed. It receives None if the current was lost and
+rises from zero again. `Answer.found` is its return value; a string is also the response."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ def ask(procedure: Procedure, trial: Callable[[Condition], Trial]) -> Trials:
 
 @dataclass
 class Setup:
-    """Profile, class and options of an experiment, from which its pulse trains are made.
+    """Profile, class and options of an experiment. A setup makes the pulse trains.
 
     Raises ExperimentError if an option is out of range.
     """
@@ -180,7 +180,7 @@ class Setup:
         return self.profile.pulse.rate_hz if self.rate_hz is None else self.rate_hz
 
     def train(self, where: Sequence[int] | NDArray[Any], rate_hz: float) -> Train:
-        """Return a pulse train at sites. ``where`` holds their indices, or the activation of each
+        """Return a pulse train. ``where`` holds the numbers of sites, or the activation of each
         electrode, (E,) float or bool."""
         limit_hz = self.profile.limits.rate_hz
         words = f"a pulse rate of {rate_hz:g} Hz"
