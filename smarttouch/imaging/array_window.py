@@ -5,7 +5,7 @@ from smarttouch.profile import Profile
 
 FEWEST_ROWS = 4  # fewest rows on which letters can be distinguished
 SAMPLES_PER_PITCH = 4  # number of pulses of an electrode while the text moves by one pitch
-_PRESS = 1.1  # reading force of a virtual finger, relative to the profile's full force
+_PRESS = 1.1  # force of a virtual finger that reads, relative to the profile's full force
 
 
 def profile_for_reading(profile: Profile) -> Profile:

@@ -31,9 +31,9 @@ _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, 
 class GreyConverter:
     """Converter of the images of one source to gray levels.
 
-    Many images do not state the level of white, the background of transparent pixels or the weights
-    of colors. The converter chooses these values for the first image that needs them, and keeps
-    them. A later image changes them only if it is brighter than white or would lose edges.
+    The converter chooses the level of white, the background of transparent pixels and the weights
+    of colors for the first image that needs them. A brighter image raises the level of white. An
+    image that would lose edges changes the weights.
     """
 
     def __init__(self) -> None:
@@ -76,20 +76,20 @@ class GreyConverter:
 
 
 def _ground(grey: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> tuple[int, int | None]:
-    """Return the level of the background and the level of the visible pixels in a transparent
-    image. If the visible pixels show print on paper, return None to keep their own levels."""
+    """Return the level of a transparent image's background, and the level of the visible pixels.
+    The second level is None if the visible pixels show print on paper, and keep their levels."""
     visible = np.asarray(alpha >= max(1, int(alpha.max()) // 2), np.uint8)
     inner = cv2.erode(visible, _AROUND) > 0
     edges = cv2.morphologyEx(grey, cv2.MORPH_GRADIENT, _AROUND)[inner] >= _EDGE_LEVELS
     if edges.sum() > _PRINT_SHARE * (visible.sum() - inner.sum()):
-        # The visible pixels show print on paper: return the level of paper, white or black.
+        # The visible pixels show print on paper. Paper is white or black.
         return (255, None) if np.median(grey[inner]) >= 128 else (0, None)
     return (0, 255) if alpha.mean() >= 128 else (255, 0)
 
 
 def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
-    """Return the index of the weights that preserve edges best, or ``present`` if its weights are
-    nearly as good. A preserved edge has at least half the contrast that its best weights give."""
+    """Return the index of the weights that preserve edges best, or ``present`` if it is nearly as
+    good. An edge is preserved if it has at least half of its largest contrast."""
     mixed = cv2.transform(colors[:: 1 + len(colors) // 400], _MIXES)
     edges = cv2.morphologyEx(mixed, cv2.MORPH_GRADIENT, _AROUND)
     edges = edges[edges.max(axis=2) >= _EDGE_LEVELS].astype(np.float32)
@@ -100,8 +100,8 @@ def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
 
 
 def _white_level(values: Pixels, black: float = 0.0) -> np.float64:
-    """Estimate the level of white: the largest number with as many bits as the largest level, for
-    example 1, 255 or 65535. If ``black`` is negative, return the largest level minus ``black``."""
+    """Return the largest number with as many bits as the largest level, such as 1, 255 or 65535.
+    If ``black`` is negative, return the largest level minus ``black``."""
     peak = float(values.max()) - black
     least = 1 if values.dtype.kind == "f" or peak <= 1 else 255
     return np.float64(peak if black < 0 < peak else max(least, 2 ** int(peak).bit_length() - 1))
@@ -119,8 +119,8 @@ def open_image(path: Path) -> Iterator[Image.Image]:
         with warnings.catch_warnings():
             # Ignore warnings: sizes are checked later, and damage raises errors or is harmless.
             warnings.filterwarnings("ignore", module=r"PIL\.")
-            # Open the file here: if Pillow 13 opens a file itself, it maps the file to memory and
-            # then reads rotated TIFFs wrongly.
+            # Do not let Pillow 13 open the file: it would map the file to memory, and read rotated
+            # TIFFs wrongly.
             with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file, Image.open(file) as image:
                 yield image
     except UnidentifiedImageError:
@@ -134,8 +134,8 @@ def open_image(path: Path) -> Iterator[Image.Image]:
 
 
 def page_frames(image: Image.Image) -> list[int]:
-    """Return the indexes of the pages in an open image: all frames of a TIFF except thumbnails and
-    masks, or the first frame of an animation."""
+    """Return the indexes of the pages in an open image. In a TIFF, pages are all frames except
+    thumbnails and masks. In other images, the first frame is the only page."""
     frames: Any = ImageSequence.Iterator(image) if image.format == "TIFF" else []
     kinds = [frame.tag_v2.get(ExifTags.Base.NewSubfileType, 0) for frame in frames]
     return [k for k, kind in enumerate(kinds) if not kind & _NO_PAGE] or [*range(len(kinds) or 1)]

@@ -41,8 +41,8 @@ def as_ink(values: Floats) -> NDArray[np.uint8]:
 
 PIXELS_PER_PITCH = 4
 _BLUR_X, _BLUR_Y = 0.4, 0.55
-"""Standard deviations of the blur, in cells: the smallest that filled the gaps between rows of
-electrodes in tests with printed lines."""
+"""Standard deviations of the blur, in cells. In tests with printed lines, smaller values left gaps
+between rows of electrodes."""
 
 
 class LinePicture:

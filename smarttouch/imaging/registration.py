@@ -14,7 +14,7 @@ from smarttouch.profile.electrodes import ElectrodeArray
 
 PIXELS_PER_CELL = 8
 """Number of pixels across an electrode's cell. Finer frames are reduced to this resolution."""
-_SAMPLES = 6  # points along each side of a pixel, to compute which share of the pixel a cell covers
+_SAMPLES = 6  # points along each side of a pixel, to compute the share that lies inside a cell
 
 
 class Apertures(NamedTuple):
@@ -27,10 +27,9 @@ class Apertures(NamedTuple):
 class Registration:
     """Registration of frames with an array, to average the ink in the aperture of each electrode.
 
-    The aperture is the cell of the electrode, divided by the magnification. Each pixel is weighted
-    by its area inside the aperture; averages of whole pixels would alias. Frames are binarized at
-    `working_shape`, which follows from `PIXELS_PER_CELL`. Raises ProfileError for an impossible
-    homography.
+    The aperture of an electrode is the electrode's cell, divided by the magnification. The weight
+    of a pixel is its area inside the aperture. Frames are reduced to `working_shape`, which follows
+    from `PIXELS_PER_CELL`. Raises ProfileError for an impossible homography.
     """
 
     def __init__(
@@ -60,8 +59,8 @@ class Registration:
 
 
 def _reduced_side(side: int, wanted: float) -> int:
-    """Return the smallest side, at least ``wanted``, that is ``side`` divided by an integer. OpenCV
-    reduces images faster by integer factors."""
+    """Return the smallest divisor of ``side`` that is at least ``wanted``. OpenCV reduces images
+    faster by integer factors."""
     # The tolerance keeps rounding errors from lowering an integer quotient by one.
     largest = math.floor(side / wanted * (1 + 1e-9))
     return side // next(factor for factor in range(max(1, largest), 0, -1) if side % factor == 0)
@@ -127,7 +126,7 @@ def on_frame(
         return across / optics.field_width_mm + 0.5, down / optics.field_height_mm + 0.5
     a, b, c, d, e, f, g, h, one = optics.homography
     depth = g * x_mm + h * y_mm + one
-    # The depth at the array's middle is `one`. Behind the camera, depths have the opposite sign.
+    # `one` is the depth at the array's middle. Depths behind the camera have the opposite sign.
     depth = np.where(depth * np.sign(one) > 1e-9, depth, np.nan)
     column, row = (a * x_mm + b * y_mm + c) / depth, (d * x_mm + e * y_mm + f) / depth
     return (column + 0.5) / optics.sensor_columns, (row + 0.5) / optics.sensor_rows
@@ -136,9 +135,10 @@ def on_frame(
 def _field_mm(
     electrodes: ElectrodeArray, optics: Optics, finest: bool = False
 ) -> tuple[float, float]:
-    """Return width and height of a frame on the page, mm, from the scale at the electrodes.
+    """Return the width and height, mm, of the area of the page that a frame shows.
 
-    With a tilted camera the scale varies: use the finest if ``finest``, otherwise the coarsest.
+    With a tilted camera, the scale differs between electrodes. If ``finest``, the finest scale
+    counts, otherwise the coarsest scale.
     """
     if optics.homography is None:
         return optics.field_width_mm, optics.field_height_mm

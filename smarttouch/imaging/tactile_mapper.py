@@ -17,10 +17,10 @@ LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper
 LEAST_GRAINS = 4.0  # smallest contrast of print, relative to the contrast of the paper's grain
 PALE = 0.3  # smallest contrast, relative to white paper, at which dark spots cannot be grain
 BLURRED = 0.3
-"""Smallest contrast of ink, relative to white paper. If the largest contrast of a frame is below
-0.5, then 0.6 of this largest contrast is enough."""
+"""Smallest contrast of ink, relative to white paper. In a frame with a largest contrast below 0.5,
+0.6 times the largest contrast is enough."""
 GREY_GUARD = 0.41  # largest share of pixels between paper and ink; frames with more are noise
-BLACK = 0.2  # level, relative to white, below which wide areas are print, not a dark desk
+BLACK = 0.2  # wide areas darker than this, relative to white, are print, not a dark desk
 WHITE_DECAY_PER_S = 0.3  # decay rate of the white level, so slow that black headlines stay black
 _CLASSES, _ROWS = len(Afferent), {mode: mode.afferents[0] for mode in Mode}
 _SAMPLES = 32  # rows and columns of the sample from which levels are estimated
@@ -29,10 +29,10 @@ _SAMPLES = 32  # rows and columns of the sample from which levels are estimated
 class Binarizer:
     """Binarizer, which separates ink from paper in successive frames of one shape.
 
-    Dark spots are ink if they are narrower than half the frame. Wider dark areas are shadows or a
-    desk: they count as paper, unless they are black compared with white paper. The threshold is
-    halfway between the levels of paper and ink, or darker in a blurred frame. A frame has no ink if
-    its contrast is low, or if many pixels are between paper and ink, as in noise.
+    Dark areas are ink if they are narrower than half the frame, or black. Other dark areas are
+    shadows or a desk, and count as paper. The threshold is halfway between the levels of paper and
+    ink, or darker in a blurred frame. A frame with low contrast has no ink. A frame with many
+    pixels between paper and ink is noise, and has no ink.
     """
 
     def __init__(self, shape: tuple[int, int], light_on_dark: bool = False) -> None:
@@ -69,11 +69,11 @@ class Binarizer:
 
 
 ADAPTATION_S = 0.04
-"""Time constant of adaptation to constant ink. Our choice: longer than the period of RA pulses, but
-short enough that a stroke at reading speed does not smear over the next letter."""
+"""Time constant of adaptation to constant ink. Our choice: longer than the period of RA pulses, and
+so short that, at reading speed, no stroke smears over the next letter."""
 LEAVING = 0.4
-"""Activation of RA by ink that leaves, relative to ink that arrives: RA responds less to the end of
-a touch. With the value 1, the previous stroke would be felt beside the present stroke."""
+"""Activation of RA when ink leaves, relative to when ink arrives. RA responds less to the end of a
+touch. With the value 1, the previous stroke would be felt beside the present stroke."""
 FAINTEST_CHANGE = 0.15  # smallest change of ink that exceeds sensor noise
 
 
@@ -150,9 +150,8 @@ class TactileMapper:
     def map(self, frame: Frame, mode: Mode) -> TactileImage:
         """Return the activation of each electrode, in the rows of the mode's classes.
 
-        The tone curve converts the share of ink in an electrode's cell to activation. Gradual
-        activation preserves more of a letter's shape than on and off. Raises ScheduleError for mode
-        color, which needs stimuli.
+        The tone curve converts the share of ink in an electrode's cell to activation. Raises
+        ScheduleError for mode color, which needs stimuli.
         """
         if mode is Mode.COLOR:
             raise ScheduleError(
