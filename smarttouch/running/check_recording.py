@@ -111,8 +111,8 @@ def rebuild_pipeline(recording: RecordedRun, profile: Profile, bank: KernelBank)
     if run.hold is not None:
         if run.compliance_v is None:
             raise RecordingError(
-                f"the settings in {recording.path} are incomplete: the setting "
-                "hold needs compliance_v, which is missing"
+                f"the settings in {recording.path} are incomplete: compliance_v is missing, and "
+                "'hold' needs it"
             )
         adaptation = Adaptation(profile, run.hold, run.compliance_v)
     if run.balance:
@@ -150,7 +150,7 @@ def _differences(recorded: RecordedStep, was: ScanSequence, now: ScanSequence) -
     for name in _COMPARED:
         old, new = (_values(sequence, name) for sequence in (was, now))
         if old.shape != new.shape:
-            # If the numbers of slots differ, all later values differ, too: do not list them.
+            # The numbers of slots differ. All later values then differ, too: do not list them.
             return
         for index in np.argwhere(old != new).tolist():
             one, other = (values[tuple(index)].item() for values in (old, new))

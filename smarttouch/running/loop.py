@@ -49,7 +49,7 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, checked_input
 
 HELD_UP_NS = 1_000_000
-"""Longest wait for the board that is ignored: duration of a send, less its processor time."""
+"""Waits up to this length are ignored. A wait is the time of a send minus its processor time."""
 _LATE_AGAIN_NS = 5_000_000_000  # late sequences less than this time apart are reported only once
 
 LOG = logging.getLogger("smarttouch.run")
@@ -72,8 +72,8 @@ def emit_to(listeners: Sequence[Listener]) -> Emit:
 def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iterator[None]:
     """Warm up the pipeline. In the block, freeze garbage collection and limit OpenCV to one thread.
 
-    Enter the block before opening a board: an open board would report the warm-up as a lost host.
-    In simulated time nothing can be late, so there is neither a warm-up nor a freeze.
+    Open the board inside the block. During the warm-up, an open board would report a lost host. In
+    simulated time there is no warm-up and no freeze, because nothing can be late.
     """
     threads = cv2.getNumThreads()
     # Images are small: a second thread costs more than it saves.
@@ -201,7 +201,7 @@ class Inputs:
     _inkless_since_ns: float | None = None  # first press without ink; infinity after the advice
 
     def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
-        """Return the input, with the effective force, and the user's level; None at the end.
+        """Return the input with the effective force, and the user's level. Return None at the end.
 
         ``time_ns`` is the time of the run, ``now_ns`` the time by the loop's clock.
         """
@@ -291,7 +291,7 @@ class Inputs:
     def _handle_lift(self, time_ns: int, now_ns: int) -> None:
         """Keep intensity at zero for `LIFT_NS` after the board has detected a lifted finger."""
         if self.board.lifted and now_ns >= self._lifted_until_ns:
-            # Only a pulse can show whether the finger has returned: pulse again, from zero.
+            # Only a pulse can show whether the finger has returned, so pulse again, from zero.
             self.board.lifted = False
             self.statistics.lifts += 1
             self.emit(FingerLifted(time_ns))
@@ -308,10 +308,10 @@ class Inputs:
 class Loop:
     """Loop that delivers the inputs of a source to an open board, one sequence after another.
 
-    The source is read at each deadline, and the next deadline is one sequence period later.
-    Therefore long scans lower the rate, and inputs never queue. A late loop moves all later
-    deadlines instead of catching up. Statistics are updated at each step, so that a fault does not
-    lose them. Listeners also receive steps whose sequences were lost with the board.
+    The loop reads the source at each deadline. The next deadline is one sequence period later, so
+    inputs never queue. If the loop is late, all later deadlines move. Statistics are updated at
+    each step, so they are complete after a fault. Listeners also receive steps whose sequences were
+    lost with the board.
     """
 
     def __init__(
@@ -351,7 +351,7 @@ class Loop:
         self._may_stall = not board.simulated_time
         self._seconds = seconds
         self._start_ns: int | None = None
-        self._zero_ns = 0  # start of the run by the loop's clock, moved later by each delay
+        self._zero_ns = 0  # start of the run by the loop's clock, plus all delays
         self._over_ns = 0  # end of the last sequence by the loop's clock
         self._report_late_ns = 0  # time of the run before which late sequences are not reported
         self._expected_ns: int | None = None
@@ -375,7 +375,7 @@ class Loop:
             yield
 
     def resume(self) -> None:
-        """After a pause without sequences, move the next deadline to now if it has passed."""
+        """Move the next deadline to now if it has passed in a pause without sequences."""
         if self._start_ns is None:
             self._start_ns = self._zero_ns = self._clock.now_ns()
         elif (idle_ns := self.time_ns() - self.elapsed_ns) > 0:
@@ -383,7 +383,7 @@ class Loop:
             self._expected_ns, self._over_ns = None, 0
 
     def time_ns(self) -> int:
-        """Return the time of the run, ns: the time since the start, minus delays of deadlines."""
+        """Return the time of the run, ns: the time since the start, minus all delays."""
         return self._clock.now_ns() - self._zero_ns
 
     def begins_at_zero(self) -> bool:
@@ -443,7 +443,7 @@ class Loop:
             step, number, (sent_ns - in_hand_ns) / 1000, (over_ns - worked_ns) / 1000,
             board.acknowledged, board.refused, None if phase is None else phase.newest, since_ns,
         )  # fmt: skip
-        # Subtract the processor time of the safety gate and of writing: the rest was a wait.
+        # A wait is the part of the send that is not processor time of the gate or of writing.
         waited_ns = sent_ns - sending_ns - (over_ns - own_ns)
         sent = Sent(
             number or 0, in_hand_ns - step.input.age_ns, deadline_ns, self.elapsed_ns,
@@ -479,14 +479,14 @@ class Loop:
             expected_ns, late_ns = self._expected_ns, now_ns - sent.deadline_ns
             error_us = None if expected_ns is None else abs(now_ns - expected_ns) / 1000
             statistics.enter(result, error_us)
-            # Move deadlines later by the time that the send waited for the board. Later sequences
-            # then need not wait, so that they are made from fresher frames.
+            # If the send waited for the board, move all deadlines later by this time. Later
+            # sequences then need not wait, and are made from fresher frames.
             self._zero_ns += sent.waited_ns
             if late_ns > sent.period_ns:
                 statistics.late += 1
                 self._zero_ns += late_ns
             more_ns = 0 if phase is None else phase.follow(self._zero_ns, sent)
-            # Expect the next step later by `more_ns`: otherwise this delay would count as an error.
+            # Expect the next step later by `more_ns`, so that the delay does not count as an error.
             self._zero_ns += more_ns
             self._expected_ns = now_ns + sent.period_ns + more_ns
             self._over_ns = sent.sent_ns + sent.period_ns + more_ns

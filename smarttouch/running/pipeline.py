@@ -27,7 +27,7 @@ from smarttouch.stimulation.scheduler import NetPlan, ScanScheduler, SchedulerCo
 from smarttouch.stimulation.sequence_limits import strength_ppb
 from smarttouch.stimulation.slots import FrameSlots
 
-_ROUNDING_UC = 0.02  # largest net charge, µC, that comes from rounding recharge currents to 1 µA
+_ROUNDING_UC = 0.02  # largest net charge, µC, due to the rounding of recharge currents to 1 µA
 
 
 @dataclass
@@ -35,7 +35,7 @@ class Regulator:
     """Feedback from measured voltages and net charge to the next sequences.
 
     ``adaptation`` keeps charge or energy constant while impedance drifts. ``ledger`` contains the
-    net charge of each electrode, which recharge phases or reversed scans bring back to zero.
+    net charge of each electrode. Recharge phases or reversed scans bring this charge back to zero.
     """
 
     adaptation: Adaptation | None = None
@@ -61,7 +61,7 @@ class Regulator:
     def take_back(self, sequence: ScanSequence) -> None:
         """Remove a sequence from the ledger, because the sequence did not reach the board.
 
-        With recharge phases, do nothing: the ledger must match the charge that the gate counts.
+        With recharge phases, do nothing: ledger and gate must count the same charge.
         """
         if self.ledger is not None and self.recharge is None:
             self.ledger.add(sequence, -1)
@@ -89,7 +89,7 @@ class Regulator:
 
 
 class Pipeline:
-    """Conversion of frames and stimuli to scan sequences. Inputs state the time; there is no clock.
+    """Conversion of frames and stimuli to scan sequences. Times come from the inputs.
 
     If ``vibrated``, mechanical vibrators stimulate PC, and PC gets no current. If ``in_sums``, each
     slot is a sum of quantized kernels, for boards that store kernels.
@@ -171,7 +171,7 @@ class Pipeline:
             if mode is Mode.COLOR:
                 possible = {*bank.weights, *[Afferent.PC] * vibrated}
                 classes = tuple(afferent for afferent in classes if afferent in possible)
-            # rate_hz is for one class: after a change to natural mode, use the profile's rates.
+            # rate_hz applies to one class. After a change to natural mode, use the profile's rates.
             natural = mode is Mode.NATURAL and bool(self._scans)
             self._scans[mode] = ScanScheduler(
                 self._profile, bank, classes, None if natural else config.rate_hz, self._timing,
@@ -189,10 +189,10 @@ class Pipeline:
     ) -> Step:
         """Return the tactile image and the scan sequence for a frame or stimulus.
 
-        The force of the input gates intensity; NaN means no contact. ``level``, in [0, 1], is the
-        user's intensity. ``allowed`` is the strength that the board's ramp allows
-        (`Ramp.allowed_level`); without a board the pipeline uses its own ramp. ``observed``
-        contains the voltages that the board measured since the last input, for the adaptation.
+        The force of the input scales intensity; NaN means no contact. ``level``, in [0, 1], is the
+        user's intensity. ``allowed`` is the strength that the board's ramp allows, see
+        `Ramp.allowed_level`. If it is None, the pipeline uses its own ramp. ``observed`` contains
+        the voltages that the board has measured since the last input.
         """
         regulator = self.regulator
         if regulator.adaptation is not None:
@@ -208,7 +208,7 @@ class Pipeline:
             gone = max(0, 0 if self._restarted else time_ns - self._time_ns) / self._limits.ramp_ns
             self._vibration, self._time_ns = min(wanted, self._vibration + gone), time_ns
             if not np.delete(activation, Afferent.PC, axis=0).any():
-                # Only the vibrator stimulates, and its ramp has been applied above.
+                # Only the vibrator stimulates. Its ramp has been applied above.
                 wanted, strength = self._vibration, 1.0
         sequence = scan.schedule(tactile, wanted, pressure, strength, regulator.adaptation)
         if allowed is None:
@@ -249,7 +249,7 @@ class Pipeline:
     def warm_up(self) -> None:
         """Process two inputs with a temporary copy of this pipeline.
 
-        First calls import modules and allocate memory, which would delay a pulse in the loop.
+        First calls import modules and allocate memory. In the loop, they would delay a pulse.
         """
         twin = copy.copy(self)
         config = self._config

@@ -39,7 +39,7 @@ from smarttouch.sources.source_contract import (
 )
 from smarttouch.stimulation.scheduler import force_gate
 
-STEADY = 0.98  # share of a level above which the level counts as reached
+STEADY = 0.98  # a level counts as reached at this share of the level
 SILENT_US = 20_000  # period of sequences without current, and of pulses that raise the ramp
 _FAINT = 0.01  # activation of the first pulses of a ramp, near the detection threshold
 _POLL_S = 0.01  # interval at which a waiting thread checks whether it was canceled
@@ -48,8 +48,8 @@ _IDLE_S = 0.045  # longest time between sequences while `put` shows a pattern wi
 Pattern = NDArray[Any] | Frame | TactileImage
 """Activation (E,) or (3, E), an image (H, W), a frame, or a tactile image."""
 Level = float | Callable[[float], float | None]
-"""Share of the session's intensity, in [0, 1]; or a function that returns this share for the
-seconds since the pattern began, or None to end the pattern."""
+"""Share of the session's intensity, in [0, 1], or a function that returns this share. The function
+takes the seconds since the pattern began, and returns None to end the pattern."""
 CANCELED: ContextVar[threading.Event | None] = ContextVar("canceled", default=None)
 """Event that cancels the pattern shown by the current thread or task."""
 
@@ -123,11 +123,11 @@ class Program(Source, Listener):
         self._turns, self._waiting = threading.Lock(), deque[object]()
         self._news, self._put_lock = threading.Event(), threading.Lock()
         self._put: tuple[NDArray[np.float32] | Frame, int, int] = (self._nothing, 0, 0)
-        """Latest pattern of `put`, the time at which `put` was called, and the time from which the
-        pattern is stale, both by `time.monotonic_ns`."""
-        self._is_new = False  # whether the latest pattern of `put` is unsent
+        """Latest pattern of `put`, time of the call, and time from which the pattern is stale.
+        Times are by `time.monotonic_ns`."""
+        self._is_new = False  # whether the latest pattern of `put` has not been sent
         self._put_count = 0  # number of the latest pattern of `put`
-        self._missed = 0  # number of patterns of `put` that were replaced unsent
+        self._missed = 0  # number of patterns of `put` that were replaced before they were sent
         self._putter: threading.Thread | None = None
 
     def program(self) -> None:
@@ -217,8 +217,8 @@ class Program(Source, Listener):
         seconds : float, s
             Duration, without the time for the ramp. Give infinity if ``level`` ends the pattern.
         level : float, in [0, 1], or callable
-            Share of the session's intensity; or a function that takes the seconds since the start
-            and returns this share for the next sequence, or None to end the pattern.
+            Share of the session's intensity, or a function that returns this share for the next
+            sequence. It takes the seconds since the start, and returns None to end the pattern.
         rate_hz : float, Hz, optional
             Sequences per second; by default the rate of the mode.
         opens : float, in [0, 1], optional
@@ -289,12 +289,12 @@ class Program(Source, Listener):
         if first is not None and (start := board.start_of(first)) is not None:
             board_us = start[1]
             if not board.simulated_time:
-                # Use the present offset of the two clocks: it changes at each suspend.
+                # Use the present offset of the two clocks: it changes if the computer is suspended.
                 clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start[0])
         return Shown(begun_ns, clock_ns, board_us, sequences, pulses, intensity, current_ma, 0.0)
 
     def wait(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
-        """Wait without current, by the time of the run; patterns of `put` are not shown meanwhile.
+        """Wait without current, in the time of the run. Patterns of `put` are not shown.
 
         Parameters
         ----------
@@ -403,8 +403,8 @@ class Program(Source, Listener):
 
     @contextmanager
     def _turn(self, waits: bool = True) -> Iterator[Loop]:
-        """Wait until no other thread shows a pattern, set the next deadline to now, and yield the
-        loop. If ``waits``, patterns of `put` give way until the turn begins."""
+        """Wait until no other thread shows a pattern, and yield the loop. The next deadline is now.
+        If ``waits``, patterns of `put` give way to this turn."""
         waiting = [object()] * waits
         self._waiting.extend(waiting)
         self._news.set()
@@ -549,7 +549,7 @@ class Program(Source, Listener):
 
     @property
     def gate(self) -> float:
-        """Factor by which the finger's force now scales intensity, in [0, 1]."""
+        """Factor for intensity that follows from the present force of the finger, in [0, 1]."""
         if self._loop is None:
             return 0.0
         force_n = self._loop.inputs.force_n(
@@ -559,7 +559,7 @@ class Program(Source, Listener):
 
     @property
     def user_level(self) -> float:
-        """Factor by which the user's level now scales intensity, in [0, 1]; 0 while paused."""
+        """Factor for intensity that the user has set, in [0, 1]; 0 while paused."""
         return self.controls.state(self.now_ns).current_level
 
     @property

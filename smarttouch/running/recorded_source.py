@@ -60,7 +60,7 @@ class RecordingSource(Source):
         return replace(recorded, time_ns=time_ns, number=number, age_ns=age_ns, stale=stale)
 
     def narrowed(self, profile: Profile) -> Profile:
-        """Return the profile, with the recorded limits where they are stricter.
+        """Return the profile. Recorded limits replace the profile's limits where they are stricter.
 
         Raises RecordingError if recorded stimuli are for another number of electrodes.
         """

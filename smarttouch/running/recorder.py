@@ -26,7 +26,7 @@ from smarttouch.running.recording_format import (
 )
 from smarttouch.running.step import Listener, RunContext, StepResult
 
-CHUNK_S = 1.0  # longest time until a step is on disk; newer steps are lost if the program is killed
+CHUNK_S = 1.0  # longest time until a step is on disk; a killed program loses newer steps
 MOST_WAITING = 1000  # largest number of steps waiting for the disk
 
 
@@ -58,7 +58,7 @@ class Recorder(Listener):
         self._thread: threading.Thread | None = None  # runs from `start` to `close`
 
     def prepare(self, run: RunContext) -> None:
-        """Before the display is opened, raise RecordingError if the file exists."""
+        """Raise RecordingError if the file exists, before the display is opened."""
         if self.path.exists():
             raise RecordingError(
                 f"{self.path} exists and recordings are never overwritten: give another name"
@@ -128,7 +128,7 @@ class Recorder(Listener):
         return RecordingError(f"{self.path} is incomplete: {reason}; earlier steps are kept")
 
     def _write_all(self) -> None:
-        """Write the queue until the end; after a failure only close the file."""
+        """Write the queue until the end. After a failure, only close the file."""
         try:
             with self._file:
                 while self._write_chunk():

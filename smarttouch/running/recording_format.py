@@ -33,7 +33,7 @@ from smarttouch.stimulation.scan_sequence import (
 )
 from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
 
-FORMAT = "2"  # version of the format; increase it if older versions cannot read new files
+FORMAT = "2"  # version of the format; increase it if older programs cannot read new files
 METADATA = "smarttouch"  # name of the metadata record that describes the run
 Message = dict[str, Any]
 

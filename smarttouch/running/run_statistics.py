@@ -15,8 +15,8 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.running.step import FirstPulse, StepResult
 from smarttouch.sources.source_contract import Source
 
-_PER_E = 100  # bins per factor of e, for an accuracy of 0.5 %
-_FACTORS = 17  # number of factors of e covered by the bins: from 1 µs to 24 s
+_PER_E = 100  # number of bins between a duration and e times this duration
+_FACTORS = 17  # the bins reach from 1 µs to e**17 µs, which is 24 s
 
 
 class LatencyHistogram:
@@ -89,7 +89,7 @@ class RunStatistics:
     spill: float = 0.0
     """Largest spill of shared slots."""
     kernels: KernelBank | None = None
-    """Kernel bank of the run, which determines the selectivity of slots with a single point."""
+    """Kernel bank of the run."""
     modes: set[Mode] = field(default_factory=set)
     """Modes in which slots were sent."""
     seconds: float = 0.0
@@ -149,8 +149,8 @@ class RunStatistics:
 
     @property
     def selectivity(self) -> tuple[float, float] | None:
-        """Largest off-target activation and largest spill, over all shared slots and over all
-        kernels of the modes that were used. None if unknown."""
+        """Largest off-target activation and largest spill of all shared slots, and of all kernels
+        for the used modes. None if unknown."""
         bank, other, spill = self.kernels, self.off_target, self.spill
         if bank is None or bank.discs:
             return (other, spill) if other or spill else None
@@ -218,8 +218,8 @@ class RunStatistics:
 
 GUARD_NS = 500_000  # spare time between the typical arrival of a sequence and its start
 _IDLE_NS = 1_000_000
-"""Longest normal pause of a board between sequences. A longer pause means a late sequence."""
-_ONE_LATE_IN = 20  # 1 of 20 recent sequences may exceed the usual delay of sending
+"""If a board pauses longer than this between two sequences, the second sequence was late."""
+_ONE_LATE_IN = 20  # 1 of 20 recent sequences may be delayed longer than usual
 _REMEMBERED = 250  # number of sequences for which transfer times are remembered
 
 
@@ -242,8 +242,8 @@ class PhaseLock:
 
     The board reports when it starts each sequence. The deadline of a sequence should precede
     its start by the sum of transfer time, usual delay of sending, and `GUARD_NS`. If a deadline is
-    too early, all following deadlines move later. Deadlines never move earlier: if a deadline is
-    too late, the board starts this sequence and all following sequences later.
+    too early, all following deadlines move later. Deadlines never move earlier. After a late
+    deadline, the board starts all sequences later.
     """
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:
@@ -251,11 +251,11 @@ class PhaseLock:
         self._pending: deque[Sent] = deque(maxlen=8)
         self._delays_ns: deque[int] = deque(maxlen=64)
         self._transfers: deque[tuple[int, int]] = deque(maxlen=8)
-        """Number and transfer time, ns, of each sequence that arrived at an idle board."""
+        """Number and transfer time, ns, of each recent sequence that arrived at an idle board."""
         self._free_ns: int | None = None
         """Expected end of the newest sequence whose start is known, by the loop's clock."""
         self.newest: FirstPulse | None = None
-        """First pulse of the newest sequence whose start became known since the last step."""
+        """First pulse of the newest sequence whose start was reported since the last step."""
 
     def follow(self, zero_ns: int, sent: Sent | None = None) -> int:
         """Store the sent sequence, and return the time by which deadlines must move later, ns.

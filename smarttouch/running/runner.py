@@ -47,7 +47,7 @@ class Runner:
     """One run of a source on a display; the source is closed at the end.
 
     ``force`` is a source of finger force or its URL. If a finger may be on the board, the default
-    is the profile's ``force.source``; otherwise it is the force from ``source`` or the board.
+    is the profile's ``force.source``. Otherwise force comes from ``source`` or the board.
     ``load_kernels`` returns the kernels of a profile. ``controls`` makes the controls from the
     initial state and the offered modes.
     """
@@ -100,7 +100,7 @@ class Runner:
         board, stop, ended = display.board, self._stop, "fault"
         report: BoardReport | None = None
         with contextlib.ExitStack() as stack:
-            # Exit `stoppable_run` last: `smarttouch stop` then waits until recordings are written.
+            # Exit `stoppable_run` last, so that `smarttouch stop` waits for all recordings.
             to_its_end = stack.enter_context(stoppable_run(stop, board))
             stack.enter_context(display.stopping.on_stop(lambda: stop.ask(display.stopping.reason)))
             for listener in reversed(self._listeners):

@@ -83,7 +83,7 @@ class StepResult:
     work_us : float
         Processor time of the loop for this step.
     acknowledged, refused : int
-        Number of sequences that the board had begun to deliver; number that it had refused.
+        Numbers of sequences that the board had begun to deliver, and that it had refused.
     clock_ns : int
         Real time from the start of the run to the start of the step, including all delays; -1 if
         unknown.

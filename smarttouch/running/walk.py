@@ -22,8 +22,8 @@ class ElectrodeReached(Note):
 class Walk(Program):
     """Program that drives one electrode after another, with a current that rises from zero.
 
-    At most ``current_ma`` flows between the electrode and all others, for ``seconds`` or until a
-    call of `go_on`. Masked electrodes are skipped.
+    A current of at most ``current_ma`` flows between the electrode and all others. The next
+    electrode follows after ``seconds`` or a call of `go_on`. Masked electrodes are skipped.
     """
 
     fixed_mode: ClassVar[bool] = True
