@@ -39,10 +39,12 @@ COLUMNS = {
     "comparison": NUMBER,  # current, frequency, distance or softness
     "comparison_interval": OPTIONAL,  # 1 or 2; empty in trials with a single interval
     "unit": WORDS,  # of standard and comparison, such as Hz, mA or mm
-    "target": WORDS, "response": WORDS,  # target: correct response; response: empty if none came
+    "target": WORDS,  # correct response
+    "response": WORDS,  # empty if the participant did not answer
     "success": ANSWER,  # 1 if judged higher, felt or correct, else 0; empty without an answer
     "rt": OPTIONAL,  # reaction time from the end of the stimulus, s
-    "time_s": NUMBER, "level": NUMBER,  # time in the run; intensity chosen by the user, 0 to 1
+    "time_s": NUMBER,  # time in the run
+    "level": NUMBER,  # intensity chosen by the user, 0 to 1
     "participant": WORDS, "session": WORDS, "date": WORDS,  # date: start of the session
     "seed": NUMBER, "frameRate": OPTIONAL, "version": WORDS,
 }  # fmt: skip

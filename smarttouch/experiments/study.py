@@ -152,8 +152,8 @@ def study_letters(
 ) -> list[tuple[Choice, Letters]]:
     """Return the scan sequences of all letters for each mode, scan and intensity of the study.
 
-    If a kernel bank must be designed, `progress` is called with the number of designed sites and
-    the number of all sites.
+    If kernels must be designed, `progress` is called with the numbers of designed sites and of all
+    sites.
     """
     bank = load_bank(profile, progress)
     return [
