@@ -24,7 +24,7 @@ request when impedance falls to a quarter of its first value."""
 FAINTEST_ENERGY = RESERVED / 4
 """Smallest share of the requested current if energy is held constant. The current falls to this
 share when impedance rises to 16 times its first value."""
-WORTHWHILE = 0.999  # scale factors above this are so close to 1 that they are not applied
+WORTHWHILE = 0.999  # larger scale factors are not applied, because they are too close to 1
 
 Array = NDArray[np.float64]
 Hold = Literal["charge", "energy"]  # quantity that is kept constant
@@ -33,10 +33,9 @@ Hold = Literal["charge", "energy"]  # quantity that is kept constant
 class Adaptation:
     """Controller of currents and pulse widths, by the measured voltage of each site.
 
-    To hold ``charge``, pulses near the compliance voltage become weaker and longer; the board must
-    allow a width for each slot. To hold ``energy``, the requested current is multiplied by
-    `RESERVED` and by the square root of (first impedance / present impedance). The product of these
-    factors is at most 1.
+    If ``hold`` is "charge", pulses near the compliance voltage become weaker and longer. The board
+    must allow a width for each slot. If ``hold`` is "energy", currents are multiplied by `RESERVED`
+    and by √(first impedance / present impedance). The product of these factors is at most 1.
     """
 
     def __init__(self, profile: Profile, hold: Hold, compliance_v: float) -> None:
@@ -46,8 +45,8 @@ class Adaptation:
         self._switched = profile.output.kind != "weighted"
         self._near_v = NEAR * compliance_v
         longest = profile.pulse.width_us / profile.limits.pulse_us
-        # Lower bound of `_highest_ua`. With a lower value, `apply` would give the same pulses at
-        # full intensity, and `_highest_ua` would take longer to rise.
+        # Lower bound of `_highest_ua`. A lower value would not change pulses at full intensity, but
+        # would take longer to rise.
         self._least_ua = longest * np.asarray(profile.threshold_ma, np.float64) * 1000
         self._highest_ua = np.full(sites, np.inf)
         self._first_kohm = np.full(sites, np.nan)

@@ -22,8 +22,8 @@ class LineCueMapper(TactileMapper):
     """
 
     line: tuple[float, float, float] | None = None
-    """Line nearest to the array's middle in the latest frame, or None. The values are the baseline,
-    mm below the middle, the x-height, mm, and the angle to the array's rows, degrees clockwise."""
+    """Line nearest to the array's middle in the latest frame, or None: baseline (mm below the
+    middle), x-height (mm) and angle to the array's rows (degrees clockwise)."""
 
     def _prepare(self, shape: tuple[int, int]) -> None:
         super()._prepare(shape)

@@ -30,8 +30,8 @@ def probe_sequences(
 
     Each slot drives one electrode against all others or, if ``in_pairs``, against a near electrode.
     In each scan an electrode carries equal charges of both signs. Masked electrodes carry no
-    current, as they would saturate the voltage if they lack contact. The scans keep the ramp limit
-    if the board delivers each of them completely.
+    current: without contact they would saturate the voltage. The scans keep the ramp limit if the
+    board delivers each of them completely.
     """
     most_ma = min(limits.current_ma, limits.full_ma, *(limits.electrode_ma or ()))
     peak_ma = min(PROBE_MA, 0.9 * most_ma)
@@ -45,8 +45,8 @@ def probe_sequences(
     driven = np.tile(sites, len(turns))
     returns = [back for turn in turns for back in np.roll(sites, -turn)[:, None]]
     if not in_pairs:
-        # The first return electrodes of a slot carry the rounding remainder. Let them follow the
-        # driven electrode, so that they differ from slot to slot.
+        # The first return electrodes of a slot carry up to 1 µA more, as currents are integers.
+        # Begin after the driven electrode, so that these electrodes differ from slot to slot.
         returns = [np.roll(sites, -at)[1:] for at in range(len(sites))]
     slot_us = max(PROBE_US + _DISCHARGE_US, int(np.ceil(PROBE_US / limits.duty))) + _SWITCHING_US
     # The ramp rises only while current flows, so a scan must last until the next step is allowed.

@@ -2,7 +2,7 @@
 
 The recharge current of an electrode is at most a tenth of its threshold for pulses. A long phase
 has a lower threshold than a pulse, and currents of neighbors add up. Still the phase cannot be
-felt: by Weiss's law, the recharge phase of a letter reaches at most 0.27 of an afferent's threshold
+felt. By Weiss's law, the recharge phase of a letter reaches at most 0.27 of an afferent's threshold
 on the electric mouse, and 0.44 on the denser electrodes of the Optacon.
 """
 
@@ -29,9 +29,9 @@ _LOWEST = np.iinfo(np.int16).min
 class ChargeBalance:
     """Ledger of the net charge through each electrode.
 
-    It counts current times width of all pulses and recharge phases, but not the unknown charge that
-    flows back in the short circuit after a pulse. `charge_pc`, (E,) int64, positive cathodic, is
-    the exact sum.
+    It adds up current times width of all pulses and recharge phases. The charge that flows back in
+    the short circuit after a pulse is unknown and not counted. `charge_pc`, (E,) int64, positive
+    cathodic, is the exact sum.
     """
 
     def __init__(self, electrodes: int) -> None:

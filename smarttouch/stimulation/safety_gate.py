@@ -18,21 +18,21 @@ from smarttouch.stimulation.sequence_limits import Dose, Exposure, prove_sequenc
 
 __all__ = ["ProvedSequence", "Ramp", "SafetyGate", "SafetyLimits"]
 
-LEEWAY_PPB = 1000  # largest excess of strength over the ramp's limit, ppb, for rounding errors
+LEEWAY_PPB = 1000  # strength may exceed the ramp's limit by this much, ppb, due to rounding
 LEVEL_KEPT_NS = 15_000_000_000
 """Longest pause without current, ns, in which the ramp keeps its level. After a longer pause the
-level is zero. The time is sufficient for an answer in an experiment."""
+level is zero. A participant of an experiment can answer in this time."""
 PLANNED_KEPT_NS = LEVEL_KEPT_NS - 1_000_000_000
-"""Longest pause without current, ns, after which plans need not restart at zero. It is shorter than
-`LEVEL_KEPT_NS`, because a sequence is written some time after it is planned."""
+"""Plans restart at zero after a pause without current that is longer than this, ns. The value is
+below `LEVEL_KEPT_NS`, because a sequence is written some time after it is planned."""
 FIRST_NS = 20_000_000
-"""First planned strength above zero: the rise of the ramp in this time, ns. If all currents round
-to zero at this strength, the scheduler plans a larger strength."""
+"""In this time, ns, the ramp rises to the first planned strength above zero. If all currents round
+to zero at this strength, the scheduler plans a larger one."""
 MOST_STEP_NS = 80_000_000
-"""Largest planned increase of strength: the rise of the ramp in this time, ns."""
+"""Plans increase the strength by at most the rise of the ramp in this time, ns."""
 AHEAD_NS = 85_000_000
-"""Largest excess of planned strength over the ramp's level: the rise of the ramp in this time, ns.
-The gate allows the rise in 100 ms, so that late sequences can catch up."""
+"""Plans exceed the ramp's level by at most the rise of the ramp in this time, ns. The gate allows
+the rise in 100 ms, so that late sequences can catch up."""
 
 _ARRAYS = (
     ("current_ua", np.dtype(np.int16), 2, True),
@@ -46,19 +46,18 @@ _ARRAYS = (
 array has one row for each slot, and False if the array may be None."""
 
 WAITS_NS = 5_000_000_000
-"""Constant part of the largest delay, ns, that `SafetyGate.repeated` allows. A board needs more
-than 2 s to resynchronize after a lost command."""
+"""`SafetyGate.repeated` allows at least this delay, ns. A board needs more than 2 s to
+resynchronize after a lost command."""
 
 
 class Ramp:
     """Slew limit of the strength of sequences, in integer parts per billion (ppb) of full strength.
 
     The level rises only while passes with current are delivered, and never above their strength
-    (see `sequence_limits.strength_ppb`). The rise from zero to full takes at least ``ramp_ns``. So
-    that late sequences catch up, the strength of a sequence may exceed the level by as much as the
-    ramp rises in `LATE_NS`. A lower intensity lowers the level. A lower strength at the same
-    intensity does not. The level is zero after `LEVEL_KEPT_NS` without current. Times are those of
-    ``clock`` or, if there is no clock, of the sequences.
+    (see `sequence_limits.strength_ppb`). The rise from zero to full takes at least ``ramp_ns``. A
+    sequence may exceed the level by the rise of the ramp in `LATE_NS`, so that late sequences can
+    catch up. A lower intensity lowers the level. After `LEVEL_KEPT_NS` without current, the level
+    is zero. Without a ``clock``, the times of the sequences are used.
     """
 
     def __init__(self, ramp_ns: int, clock: Clock | None = None) -> None:
@@ -118,8 +117,7 @@ class Ramp:
 
     def permits(self, strength_ppb: int, claimed_ns: int, open_ppb: int | None = None) -> bool:
         """Return whether a sequence of this strength may begin now. The strength may exceed the
-        ramp's level by as much as the ramp rises in `LATE_NS`. ``open_ppb`` is the level; if it is
-        None, the level is computed."""
+        ramp's level by the rise of the ramp in `LATE_NS`. ``open_ppb`` is the level, if known."""
         with self.lock:
             most_ppb = LEEWAY_PPB
             if self._begun:
@@ -128,9 +126,8 @@ class Ramp:
             return strength_ppb <= most_ppb
 
     def note(self, ppb: int, strength_ppb: int, claimed_ns: int, lasting_ns: int) -> None:
-        """Record a written sequence of intensity ``ppb``. If the level is above this intensity, the
-        level falls to the intensity. While the passes are delivered, for ``lasting_ns``, the level
-        rises up to ``strength_ppb``."""
+        """Record a written sequence of intensity ``ppb``. A higher level falls to this intensity.
+        During the passes, for ``lasting_ns``, the level rises, at most to ``strength_ppb``."""
         with self.lock:
             # When a sequence arrives, the board finishes the current pass and drops later ones.
             now_ns, open_ppb = self.open_at(claimed_ns)
@@ -189,13 +186,13 @@ class SafetyGate:
     limits : SafetyLimits
         Limits of every sequence.
     clock : Clock, optional
-        Clock of the display. Checks without a board use the times of the sequences instead.
+        Clock of the display; by default, the times of the sequences are used.
     """
 
     def __init__(self, limits: SafetyLimits, clock: Clock | None = None) -> None:
         self.limits: SafetyLimits = limits
         self.ramp: Ramp = Ramp(limits.ramp_ns, clock)
-        """Ramp that limits the strength of sequences, in plans and again before writing."""
+        """Ramp of the strength of sequences. It limits plans, and `prove` checks it."""
         self.session: int = 0
         """Number of the present session; boards reject sequences of other sessions."""
         self._clock = clock

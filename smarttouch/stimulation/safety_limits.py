@@ -205,7 +205,7 @@ class SafetyLimits:
 
     @cached_property
     def rounding_ua(self) -> Fraction:
-        """Largest rounding error of the electrode that balances the others, µA."""
+        """Largest rounding error, µA, at the electrode whose current balances all others."""
         return Fraction(self.electrodes, 2) + 1
 
     @cached_property
@@ -214,7 +214,7 @@ class SafetyLimits:
 
     @cached_property
     def width_whole_us(self) -> int:
-        """Width of a pulse of full strength, µs."""
+        """Width of a full-strength pulse, µs."""
         width_us = self.pulse_us if self.width_us is None else self.width_us
         return max(1, math.floor(decimal(min(width_us, self.pulse_us))))
 
@@ -350,8 +350,7 @@ _LIMITS = {
     "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
     "order": "time_ns",
 }  # fmt: skip
-"""Names of limits (`SafetyError.limit`) for some keys of `_SENTENCES`. Each other key is itself the
-name of its limit."""
+"""Names of limits (`SafetyError.limit`) for the keys of `_SENTENCES` that are not such names."""
 
 
 def refusal(

@@ -89,7 +89,7 @@ class KernelTable:
 
     @cached_property
     def so_far_ua(self) -> NDArray[np.float64]:
-        """Cumulative sums of each kernel over electrodes, (K, E) µA, at amplitude 1 (0.25 µA)."""
+        """Cumulative sums of each kernel's currents over electrodes, (K, E) µA, at amplitude 1."""
         # Scaling by a power of two is exact.
         return np.cumsum(self.weights, axis=1, dtype=np.float64) * 2.0**-SHIFT
 
@@ -122,8 +122,8 @@ class KernelLists:
         scaled *= amplitude.astype(np.float64)[:, None]
         if len(scaled) > len(first) - 1:
             scaled = np.add.reduceat(scaled, first[:-1], axis=0)
-        # Conversion to int64 rounds only positive sums down, so add an offset. Conversion to int16
-        # removes the offset, which is a multiple of 2^16.
+        # The offset makes all sums positive, so that the conversion to int64 rounds down. The
+        # conversion to int16 removes the offset, a multiple of 2^16.
         scaled += _OFFSET + 0.5
         rounded = scaled.astype(np.int64).astype(np.int16)
         current_ua = rounded.copy()
@@ -151,8 +151,8 @@ def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
     peak = np.abs(kernels).max(axis=1, keepdims=True, initial=0)
     carried = np.cumsum(kernels * (PEAK / np.where(peak > 0, peak, 1)), axis=1)
     carried[:, -1:] = 0
-    # Round halves upward. Rounding to even would give (-0.5, 1, -0.5) a peak of 32,768, too large
-    # for int16. Rounding to six decimals removes errors of double precision.
+    # Round halves upward: rounding to even would give the kernel (-0.5, 1, -0.5) a peak of 32,768,
+    # which int16 cannot hold. Rounding to six decimals removes errors of double precision.
     rounded = np.floor(carried.round(6) + 0.5)
     return np.diff(rounded, axis=1, prepend=0).astype(np.int16)
 
@@ -174,7 +174,7 @@ def kept_kernels(
 
 
 def _records(weights: NDArray[np.int16], sites: NDArray[np.uint16]) -> Iterator[bytes]:
-    """Yield each kernel as bytes: its site and its runs of weights, without long gaps of zeros."""
+    """Yield each kernel as bytes: its site, then its weights without long gaps of zeros."""
     for kernel, site in zip(weights, sites.tolist(), strict=False):
         active = np.flatnonzero(kernel)
         if not len(active):
@@ -203,8 +203,8 @@ class SelectivityReport:
     """Selectivity of each slot.
 
     For shared slots, values are proved bounds that include rounding. For slots with one point, they
-    are the values of its kernel. All values are relative to the activation that the slot's weakest
-    target has at level 1 (full activation).
+    are the values of its kernel. All values are relative to the full activation (level 1) of the
+    slot's weakest target.
 
     Attributes
     ----------
@@ -244,7 +244,7 @@ class ScanSequence:
     discharge_us : ndarray, (S,) uint16, µs
         Duration of the short circuit after each pulse.
     site : ndarray, (S,) uint16
-        Electrode above the stimulated point of each slot; in a shared slot, of the first point.
+        Electrode above the point of each slot, or above the first point of a shared slot.
     period_us : int, µs
         Duration of the sequence.
     intensity : float, in [0, 1]
@@ -284,7 +284,7 @@ class ScanSequence:
 
     @property
     def peak_pc(self) -> int:
-        """Largest charge of a pulse of any electrode, pC."""
+        """Largest charge of any pulse at any electrode, pC."""
         return peak_pc(self.current_ua, self.width_us)
 
     @property

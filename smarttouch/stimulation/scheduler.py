@@ -41,9 +41,9 @@ from smarttouch.stimulation.sequence_limits import (
 from smarttouch.stimulation.slots import FrameSlots, PointSlots, Slots, constant_us, joined
 
 WINDOW_US = 1_100_000
-"""Time over which plans limit the net charge, µs. The limit is for 1 s, but boards that count in
-tenths of a second can include up to 1.1 s."""
-GUARD_PC = 0.95 * NET_PC  # largest planned net charge of the latest n passes, for any n
+"""Plans limit the net charge in a window of this length, µs. The limit is for 1 s, but a board that
+counts in tenths of a second can include up to 1.1 s."""
+GUARD_PC = 0.95 * NET_PC  # largest planned net charge of the latest passes, however many
 _MEAN_PC = PLANNED * NET_PC
 _FREE_PC = NET_PC / 2
 _MOST_PC = 0.99 * NET_PC
@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 SLOWEST = 0.2
 """Share of the full pulse rate at the lightest touch of a hard object. It reduces 50 Hz to 10 Hz,
 the lowest rate in the paper's experiments (Section III-B.2)."""
-_ON_TIME = 0.25  # largest delay, in pulse intervals; later pulses restart the time grid of a class
+_ON_TIME = 0.25  # a pulse that is later than this share of its interval restarts the time grid
 _SLOWEST_HZ = 0.1
 
 
@@ -134,8 +134,8 @@ class PulseRates:
         self._last_ns: dict[Afferent, float] = {}
 
     def due(self, time_ns: int, pressure: float = 1.0) -> tuple[tuple[Afferent, ...], int]:
-        """Return the classes that pulse now, at a pressure in [0, 1], and the time to the next
-        pulses, µs."""
+        """Return the classes that pulse now, and the time to the next pulses, µs. The pressure is
+        in [0, 1]."""
         now, merge_ns = [], 1000 * self._merge_us
         next_ns = []
         for afferent, rate_hz in self._rates_hz.items():
@@ -174,16 +174,16 @@ class _Pass(NamedTuple):
 class NetPlan:
     """Planner of periods that keep the net charge of any second below its limit.
 
-    The net charges of equal passes add up. If the requested rate would exceed the limit, periods
-    become longer as soon as half of the limit is used, so that all passes slow down evenly. After a
-    change of the image, a pass can wait until earlier passes are older than `WINDOW_US`.
+    If the requested rate would exceed the limit, periods become longer once half of the limit is
+    used. All passes then slow down evenly. After a change of the image, a pass can wait until
+    earlier passes are older than `WINDOW_US`.
     """
 
     def __init__(self, electrodes: int) -> None:
         self._passes: deque[_Pass] = deque()
         self._sum_pc = np.zeros(electrodes)
-        # Upper bounds of net charge: `_at_most_pc` for all passes in the last `WINDOW_US`, and
-        # `_newest_at_most_pc` for the latest n passes, for any n.
+        # Upper bounds of net charge: `_at_most_pc` for the passes of the last `WINDOW_US`,
+        # `_newest_at_most_pc` for the latest passes, however many are counted.
         self._at_most_pc = self._newest_at_most_pc = 0.0
 
     def next_period_us(
@@ -233,7 +233,7 @@ class NetPlan:
         return needed_us
 
     def _newest(self, net_pc: Array) -> Array:
-        """Return magnitudes of net charge, (N + 1, E). Row n: ``net_pc`` plus the last n passes."""
+        """Return |net charge|, (N + 1, E). Row n adds up ``net_pc`` and the last n passes."""
         passes = (earlier.net_pc for earlier in reversed(self._passes))
         return np.asarray(np.abs(np.cumsum([net_pc, *passes], axis=0)))
 
@@ -250,14 +250,14 @@ class SchedulerContext:
 
 
 class ScanScheduler:
-    """Converter of tactile images to sequences of at most one slot for each active point (paper,
-    Section IV-A, Fig. 19).
+    """Converter of tactile images to scan sequences (paper, Section IV-A, Fig. 19). Each active
+    point of a class takes at most one slot.
 
     `rate_hz` is the rate of a single class. Several classes have the profile's rates. `softness`,
     in [0, 1], reduces the effect of force on the SAI rate. If `vibrated`, mechanical vibrators
     stimulate PC, and this class gets no current. `asked_us` is the last requested period. To limit
-    net charge, some sequences get a longer period (counted by `net_slowed`) and others lose all
-    slots (counted by `net_emptied`).
+    net charge, a sequence can get a longer period (counted by `net_slowed`) or lose all slots
+    (counted by `net_emptied`).
     Raises ScheduleError if the rate or the pulses are impossible, or if the bank drives a masked
     electrode.
     """
@@ -324,7 +324,7 @@ class ScanScheduler:
     ) -> ScanSequence:
         """Return the sequence for a tactile image at an intensity and a pressure in [0, 1].
 
-        Extends the requested period if the slots do not fit. At zero intensity there are no slots.
+        The requested period is extended if the slots do not fit. Zero intensity gives no slots.
         Intensity is lowered until strength (`strength_ppb`) is at most ``allowed``, in [0, 1]. If
         all currents then round to zero, larger strengths are tried, up to the rise of the ramp in
         `MOST_STEP_NS`. The SAI rate follows pressure. If the image has a period, each active class
@@ -424,8 +424,8 @@ class ScanScheduler:
         return tuple(active)
 
     def _require_exposure_of_all(self) -> None:
-        """Raise ScheduleError if a frame in which every point is active, each in its own slot,
-        exceeds the limits of pulses and charge."""
+        """Raise ScheduleError if a frame exceeds the limits of pulses and charge when all points
+        are active in separate slots."""
         sums = np.zeros((3, self._electrodes))
         for maker in self._makers.values():
             if isinstance(maker, PointSlots):

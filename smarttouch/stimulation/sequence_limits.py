@@ -22,9 +22,9 @@ from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, decimal, ref
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 STRENGTH = 4
-"""Largest ratio of strength to relative charge. The relative charge of a sequence is the largest
-charge of its pulses, divided by the charge of a full pulse. With the shipped kernels, the
-faintest gray needs a ratio below 3. The ratio of 4 leaves a margin for sensitive sites."""
+"""Strength is at most this factor times relative charge. The relative charge of a sequence is the
+largest charge of a pulse, divided by the charge of a full pulse. With the shipped kernels, the
+faintest gray needs a factor below 3."""
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62
 MOST_RECHARGE_US = 20_000  # longest recharge phase: one period at 50 Hz (our choice)
@@ -32,8 +32,8 @@ MOST_RECHARGE_PC = 2_000_000  # largest recharge of an electrode: 4 pulses of 0.
 BURST_US = round(1e6 * BURST_S)
 PER_PULSE = 1_000_000
 PER_PC = round(1000 * CEILING_PULSES_HZ / (1e6 * CEILING_MEAN_MA))
-"""Weights of one perceptible pulse (`PER_PULSE`) and of 1 pC (`PER_PC`), integers. The weighted
-number of pulses and the weighted charge have the same limit, `MOST_PER_US` per microsecond."""
+"""Factors of the number of perceptible pulses (`PER_PULSE`) and of charge in pC (`PER_PC`). Both
+products have the same limit, `MOST_PER_US` per microsecond."""
 MOST_PER_US = round(CEILING_PULSES_HZ)
 NET_PC = round(1e9 * CEILING_NET_MA)  # largest net charge of an electrode in a second
 PLANNED = 0.9  # share of a limit that schedulers use; the rest is a margin for jitter
@@ -73,7 +73,7 @@ def strength_ppb(limits: SafetyLimits, ppb: int, peak_pc: int) -> int:
 
 
 class PassLoad(NamedTuple):
-    """Load of one pass of a sequence on each electrode."""
+    """Pulses, charge, duration and strength of one pass of a sequence."""
 
     sums: Sums  # including the recharge phase
     recharge_pc: NDArray[np.float64] | None  # (E,) charge of the recharge phase, cathodic > 0
@@ -83,8 +83,8 @@ class PassLoad(NamedTuple):
 
 
 def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> PassLoad:
-    """Check a frozen sequence of intensity ``ppb``, and return its load on each electrode. Raises
-    SafetyError with the limit, slot, electrode and values."""
+    """Check a frozen sequence of intensity ``ppb``, and return its `PassLoad`. Raises SafetyError
+    with the limit, slot, electrode and values."""
     width_us, (busy_us, narrow_us, wide_us) = sequence.width_us, _prove_numbers(sequence, limits)
     if not busy_us:
         return PassLoad(np.zeros((3, limits.electrodes)), None, 0, 0, 0)
@@ -232,7 +232,7 @@ class _Pass(NamedTuple):
     start_ns: int
     end_ns: int
     sums: Sums
-    most: float  # largest of `sums[:2]`, and at least each net charge × `PER_PC`
+    most: float  # largest of `sums[:2]`; no net charge × `PER_PC` is larger
 
 
 class _Sent(NamedTuple):
@@ -245,7 +245,7 @@ class _Sent(NamedTuple):
 
     def cut_short(self, now_ns: int) -> tuple[int, list[_Pass], int]:
         """Return the time at which a new sequence begins if it is sent at ``now_ns``. Also return
-        the recent passes of this sequence without the first, and the number of dropped passes."""
+        this sequence's recent passes, except the first, and the number of passes it loses."""
         # The board delivers the first pass even if this pass has not begun at `now_ns`.
         first, period_ns = self.first, self.period_ns
         begun = max(1, min(self.times, (now_ns - first.start_ns) // period_ns + 1))
@@ -306,9 +306,9 @@ class Exposure:
         """Forget the last second's passes, because times restart at 0. Keep the session's dose."""
         self._last = None
         self._window.clear()
-        # Upper bounds: `_second_at_most` for the sums of the last second, and `_net_at_most` for
-        # the net charge (× `PER_PC`) of the latest n passes, for any n. Exact sums are computed
-        # only if a bound exceeds its limit.
+        # `_second_at_most` is an upper bound of the sums of the last second. `_net_at_most` bounds
+        # the net charge (× `PER_PC`) of the latest passes, however many are counted. Exact sums are
+        # computed only if a bound exceeds its limit.
         self._second_at_most = self._net_at_most = 0.0
 
     def net_rest_ns(self, now_ns: int) -> int:
@@ -382,8 +382,8 @@ class Exposure:
         """Raise SafetyError if any second would exceed a limit.
 
         Count the passes in `_window`, the ``repeated`` passes of the previous sequence, and
-        ``checked`` passes of the new sequence, one period apart. Return an upper bound of the net
-        charge (× `PER_PC`) of the latest n passes before the new sequence, for any n.
+        ``checked`` passes of the new sequence, one period apart. Return the largest net charge (×
+        `PER_PC`) of the latest n passes before the new sequence, over all n.
         """
         recent = [scan for scan in (*self._window, *repeated) if scan.end_ns > now_ns - WINDOW_NS]
         passes = sum(scan.start_ns > now_ns - WINDOW_NS for scan in recent) + 1

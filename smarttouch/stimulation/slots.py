@@ -49,8 +49,8 @@ take 25 times longer and have the same results for the shipped arrays."""
 
 _NONE = np.empty(0, np.intp)
 _ROUNDING = 0.99
-"""Share of each selectivity bound that proofs use. The rest is a margin for rounding, sufficient at
-intensities from `FrameSlots.certain_from`."""
+"""Proofs use this share of each selectivity bound. The rest is a margin for rounding. It suffices
+at intensities of `FrameSlots.certain_from` or more."""
 
 
 class FrameSlots:
@@ -58,9 +58,9 @@ class FrameSlots:
 
     A shared slot is a sum of kernels. Each subset of its kernels is proved to keep the profile's
     bounds on off-target and spill. Points without a proof get separate slots. Below the intensity
-    `certain_from`, all points get separate slots, because rounding could exceed a bound; these
-    intensities are too low to be felt. Raises ScheduleError if the board has a single source, or if
-    the profile does not limit total current.
+    `certain_from`, rounding could exceed a bound, so all points get separate slots. Such
+    intensities cannot be felt. Raises ScheduleError if the board has a single source, or if the
+    profile does not limit total current.
     """
 
     def __init__(self, profile: Profile, bank: KernelBank, afferent: Afferent) -> None:
@@ -120,10 +120,10 @@ class FrameSlots:
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
         """Return slots and their selectivity, for the activation of a class, (E,), at an intensity.
 
-        For the faintest activation, a kernel carries its threshold current times intensity; for
-        full activation, its comfort level times intensity. In a shared slot, the activation of a
-        point differs by at most the share ``frames.uneven`` from that in a separate slot. Currents
-        are integer µA that sum to zero in each slot. Masked electrodes have no slot.
+        The faintest activation gives the threshold current times intensity. Full activation gives
+        the comfort level times intensity. A shared slot changes the activation of a point by at
+        most the share ``frames.uneven``. Currents are integer µA that sum to zero in each slot.
+        Masked electrodes have no slot.
         """
         asked = activation if intensity > 0 else 0 * activation
         if self._perceived_at is not None:
@@ -166,8 +166,8 @@ class FrameSlots:
         return Slots(site, current_ua, self._widths_us[:count], proof, sums)
 
     def _shared(self, level: Array) -> tuple[NDArray[np.intp], list[int]]:
-        """Return the kernels of shared slots, slot after slot, and the number of kernels in each
-        slot. In each set of independent sites, start with the strongest kernel. Put each kernel
+        """Return the kernels of shared slots, ordered by slot, and the number of kernels in each
+        slot. In each set of independent sites, begin with the strongest kernel. Put each kernel
         into the first slot whose total current stays within the limit."""
         wanted = level.take(self._sites)
         active = wanted.nonzero()[0]
@@ -261,10 +261,10 @@ class PointSlots:
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
         """Return the slots of a class for its activation, (E,), at an intensity, both in [0, 1].
 
-        For the faintest activation, a point gets its threshold current times intensity; for full
-        activation, its comfort level times intensity. Currents are integer µA that sum to zero in
-        each slot. The strongest electrode takes the rounding remainder. If its limit does not allow
-        this, the remainder is carried from electrode to electrode. Masked electrodes have no slot.
+        The faintest activation gives the threshold current times intensity. Full activation gives
+        the comfort level times intensity. Currents are integer µA that sum to zero in each slot.
+        The strongest electrode takes the rounding remainder, if its limit allows this. Masked
+        electrodes have no slot.
         """
         if self._perceived_at is not None:
             # The added zero is the activation of points that are perceived outside of the array.
