@@ -51,9 +51,9 @@ class KernelBank:
     weights: Column  # (E, E) mA per V/mm²: row s is the kernel of site s, sum 0; zeros if masked
     off_target: Column  # (E,) largest activation of another class, relative to the target
     worst_class: Column  # (E,) int8, the other class that is activated most
-    # (E,) largest activation of the class more than a pitch from the target, relative to the target
+    # (E,) largest activation of the class beyond a pitch from the target, relative to the target
     spill: Column
-    gap: Column  # (E,) upper bound of the relative distance from the optimum; 0 if proven optimal
+    gap: Column  # (E,) largest possible relative distance from the optimum; 0 if proven optimal
     seconds: Column  # (E,) float32, design time
     receptor: Column  # (E, E) float32, V/mm² per mA: [r, e] is the AF at target r from electrode e
     # Classes whose kernels are one electrode against all others (`single_bank`)
@@ -96,8 +96,8 @@ class KernelBank:
         are sequence numbers.
 
         A response is 0 at the detection threshold and 1 at the strongest comfortable pulse. The
-        response to a sequence is the largest one over its slots and over all classes. ``numbers``,
-        (N,), has the sequence number of each slot; ``current_ua``, (N, E), is positive if cathodic.
+        response to a sequence is the largest over its slots and classes. ``numbers``, (N,), has the
+        sequence number of each slot. ``current_ua``, (N, E), is positive cathodic.
         """
         from smarttouch.physiology.finger import strength
 

@@ -1,8 +1,8 @@
 """Design of the kernels of many sites on all cores; an interrupted design resumes.
 
 On large arrays a kernel drives only the electrodes near its site. A tile consists of the site,
-these electrodes, and a ring around them. Nodes are checked only within the tile, as a kernel
-excites farther ones less. Sites with equal or mirrored tiles share a kernel, so a grid of any size
+these electrodes, and a ring around them. Only nodes within the tile are checked, because a kernel
+excites farther nodes less. Sites with equal or mirrored tiles share a kernel, so a grid of any size
 needs about 40 designs. Without tiles, the time grows with the third power of the electrode count.
 """
 
@@ -174,8 +174,7 @@ def design_unless_known(
     """Return a design function that reuses the kernels of another profile if they stay optimal.
 
     Kernels that drive masked electrodes are not reused. Other kernels stay optimal if the limits
-    are unchanged. They also stay optimal if no limit, old or new, restricts them: an optimum stays
-    optimal over any subset that contains it.
+    are unchanged, or if they keep both the old and the new limits with a margin.
     """
 
     def keep_or_design(problem: Problem, site: int) -> Kernel:
@@ -217,10 +216,10 @@ _DECIMALS = 6
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """Site and its neighbors as a small array, and all sites whose neighbors are arranged alike."""
+    """Small array of a site and its neighbors, for all sites whose neighbors are arranged alike."""
 
     profile: Profile  # electrode 0 is the site
-    # by site: the indices of the tile's electrodes in the complete array, (N,)
+    # indices of the tile's electrodes in the complete array, (N,), for each site
     members: dict[int, NDArray[np.intp]] = field(default_factory=dict)
 
 
@@ -294,8 +293,8 @@ def design_tiles(
     progress: Progress | None = None,
     keep: Path | None = None,
 ) -> Iterable[tuple[Afferent, int, NDArray[np.intp], Kernel, float, Array]]:
-    """Design the kernel of each class and site. Yield class, site, electrodes of the tile (N,),
-    kernel, design time in s, and the AF at the target from each electrode, (N,) V/mm² per mA."""
+    """Design the kernel of each class and site. Yield class; site; electrodes of the tile, (N,);
+    kernel; design time, s; and the AF at the target for 1 mA through each electrode, (N,) V/mm²."""
     tiles = tiles_of(profile, sites)
     for index, tile in enumerate(tiles):
         node_rows: dict[Afferent, Array] = {}

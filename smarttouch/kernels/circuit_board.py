@@ -30,9 +30,9 @@ _Pad = tuple[int, int | None, float, float, Shape, tuple[float, float]]
 def write_kicad(profile: Profile, folder: Path) -> Path:
     """Write a board file of KiCad 9 with electrodes and contacts; return its path.
 
-    Contact ``k + 1`` belongs to output k of the driver board, and has the net of the electrode that
-    ``output.wiring`` connects to it. Nets are named after electrodes. Raises ProfileError if the
-    file exists (its tracks would be lost) or cannot be written, or if an electrode is a point.
+    Contact ``k + 1`` belongs to output k of the driver board. Its net is that of the electrode that
+    ``output.wiring`` connects to this output. Nets are named after electrodes. Raises ProfileError
+    if the file exists, if it cannot be written, or if an electrode is a point.
     """
     path = folder / f"{profile.name}.kicad_pcb"
     if path.exists():

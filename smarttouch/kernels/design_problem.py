@@ -56,9 +56,9 @@ def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
 
 
 def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[np.int_]]:
-    """Return those symmetries of a square, (2, 2) matrices, that preserve the electrode shapes and
-    the axon directions of each class. For the classes in ``targets_of``, they also preserve the
-    direction of the target's axon. The first matrix is the identity."""
+    """Return the symmetries of a square that preserve electrode shapes and the set of axon
+    directions of each class. They are (2, 2) matrices; the first is the identity. For the classes
+    in ``targets_of``, they also preserve the first direction, that of the target's axon."""
     skin = profile.skin
     kinds = profile.electrodes.kinds
     upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in kinds)
@@ -122,7 +122,7 @@ class Kernel:
     spill: float  # largest activation of the class more than a pitch away, relative to the target
     node: int = 0  # index of the target node on its axon; 0 is under the electrode
     kind: KernelKind = "weighted"
-    gap: float = 0.0  # upper bound of the relative distance from the optimum; 0 if proven optimal
+    gap: float = 0.0  # largest possible relative distance from the optimum; 0 if proven optimal
 
     @property
     def peak_normalized(self) -> Array:
@@ -235,8 +235,8 @@ class Problem:
             raise masked_site(site)
 
     def beyond_a_pitch(self, site: int, node: int = 0) -> NDArray[np.bool_]:
-        """Return for each row of `own`, (M,), whether its node is over a pitch from the target. The
-        target is node number ``node`` of the site's axon."""
+        """Return for each row of `own`, (M,), whether its node is farther than a pitch from the
+        target: node number ``node`` of the site's axon."""
         electrodes = self.profile.electrodes
         target_mm = self.axon_mm(site)[node, :2] if node else electrodes.position_mm[site]
         away = np.linalg.norm(self._own_position_mm - target_mm, axis=1)
@@ -247,7 +247,7 @@ class Problem:
         return float(self.profile.full_ma[site])
 
     def axon(self, site: int) -> Array:
-        """Return the AF rows of the target's axon, (K, E). Row 0: the node under the electrode."""
+        """Return the AF rows of the target's axon, (K, E); row 0 is under the electrode."""
         sets = along_axon(self.profile, self.afferent, site)
         return np.concatenate([af_matrix(self.profile, one, self.profile.skin) for one in sets])
 
@@ -259,15 +259,15 @@ class Problem:
         )
 
     def representative(self, site: int) -> tuple[int, NDArray[np.intp]]:
-        """Return the lowest site that a symmetry maps to ``site``, and this symmetry, which is a
+        """Return the lowest site that a symmetry maps to ``site``, and the symmetry as a
         permutation of the electrodes."""
         moves = [(int(np.flatnonzero(move == site)[0]), move) for move in self.symmetries]
         return min(moves, key=lambda pair: pair[0])
 
     def orbits(self, site: int) -> Array:
-        """Return the orbits, (E, O): a column is 1 at the electrodes of its orbit, else 0. The
-        electrodes of an orbit are mapped to each other by the symmetries that keep the site in
-        place. Masked electrodes have no orbit."""
+        """Return the orbits, (E, O): a column is 1 at the electrodes of its orbit, else 0.
+        Symmetries that keep the site in place map the electrodes of an orbit to each other. Masked
+        electrodes have no orbit."""
         mirrors = np.array([move for move in self.symmetries if move[site] == site])
         _, orbit = np.unique(mirrors.min(axis=0)[self.driven], return_inverse=True)
         patterns = np.zeros((self.electrodes, orbit.max() + 1))
@@ -282,8 +282,9 @@ class Problem:
         kind: KernelKind = "weighted",
         gap: float = 0.0,
     ) -> Kernel:
-        """Return the kernel for a pattern. It has off-target, spill, and weights that give an AF of
-        1 V/mm² at the target. Raises DesignError if the pattern does not activate the target."""
+        """Return the kernel for a pattern, with off-target and spill. Its weights are scaled to an
+        AF of 1 V/mm² at the target. Raises DesignError if the pattern does not activate the
+        target."""
         far = self.beyond_a_pitch(site, node)
         aim = self.target[site] if node == 0 else self.axon(site)[node]
         own_af = float(aim @ weights)

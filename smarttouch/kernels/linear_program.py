@@ -1,9 +1,9 @@
 """Solver for min–max linear programs with few unknowns and very many rows.
 
 It starts with a few rows. Each round solves the program and adds the rows that the solution
-violates most, until it violates none. A round checks a coarse subset first, then the rows that were
-nearly violated at the last check of all rows, then all rows. HiGHS continues from its last basis,
-so a round costs a few pivots. The final solution is proven optimal by its dual.
+violates most, until it violates none. A round first checks a coarse subset. Then it checks the rows
+that were nearly violated at the last check of all rows, and finally all rows. HiGHS continues from
+its last basis, so a round costs a few pivots. The final solution is proven optimal by its dual.
 """
 
 from collections.abc import Callable, Sequence
@@ -56,8 +56,8 @@ class ProgramRows:
     """Rows of a program, (N, O). A row is the product of an AF row, (E,), and the orbits of a site,
     (E, O). To save memory, only the factors are stored: all sites share the AF rows.
 
-    Each of ``parts`` has an array of AF rows, a divisor for these rows, and the indices of the rows
-    to use (None for all). Rows with indices ``coarse``, (K,), are checked first.
+    Each part is an array of AF rows, their divisor, and the indices of the rows to use (None for
+    all). Rows with indices ``coarse``, (K,), are checked first.
     """
 
     def __init__(
@@ -104,11 +104,11 @@ class ProgramRows:
 class LinearProgram:
     """Linear program: minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σ size·w = 0.
 
-    An orbit is a set of electrodes with equal currents. For each orbit, w, (O,), is the current of
-    one electrode, and ``size``, (O,), the number of electrodes. If several patterns are optimal,
-    Σ cost·|w| is minimized for each cost, (O,), of ``ties`` in turn. ``worst`` returns the rows to
-    add, given the excess of each row, (N,); by default it returns all violated rows. ``after`` is a
-    solved program: this program starts with the rows that ``after`` used, and t is at least 0.
+    An orbit is a set of electrodes with equal currents. w, (O,), has the current of one electrode
+    of each orbit. ``size``, (O,), has the number of electrodes. If several patterns are optimal,
+    each cost, (O,), of ``ties`` in turn selects those with the smallest Σ cost·|w|. ``worst``
+    selects the rows to add by their excess, (N,); by default it selects all violated rows. If a
+    solved program is given as ``after``, this program starts with its rows, and t is at least 0.
     """
 
     def __init__(
@@ -165,9 +165,9 @@ class LinearProgram:
         return int((np.abs(prices) > _PRICE).sum()) >= self._columns
 
     def limit(self, reference: Array, factors: Array, total: float | None) -> None:
-        """Limit currents relative to the current reference·w; ``reference``, (O,), usually selects
-        one electrode. ``factors``, (O,), limit the magnitude of each current; infinity is no limit.
-        ``total`` limits the sum of magnitudes over all electrodes; None is no limit."""
+        """Limit the magnitudes of currents, relative to the current reference·w. ``factors``, (O,),
+        limits each current; infinity sets no limit. ``total`` limits the sum over all electrodes;
+        None sets no limit. ``reference``, (O,), usually selects one electrode."""
         bounded = np.flatnonzero(np.isfinite(factors))
         eye = np.eye(self._count)[bounded]
         push = factors[bounded, None] * reference

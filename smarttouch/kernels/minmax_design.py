@@ -5,9 +5,9 @@ of A are the AF at all nodes of other classes. The paper's program (Eq. 10 to 18
 
     minimize t   such that   A w ≤ t,   a·w = 1,   Σw = 0
 
-The AF at all other nodes of the target's axon is at most 1 (Eq. 11). Spill is at most `SPILL`, a
-bound that is not in the paper: without it, neighbors of the same class would nearly fire on a grid.
-Of all patterns with t within `GIVEN_UP` of the minimum, the one with the least spill is chosen.
+The AF at all other nodes of the target's axon is at most 1 (Eq. 11). Spill is at most `SPILL`. The
+paper has no such bound, but on a grid, neighbors of the same class would then nearly fire. Of the
+patterns with t within `GIVEN_UP` of the minimum, the design takes the one with the least spill.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ from smarttouch.base.errors import DesignError
 from smarttouch.kernels.design_problem import Array, Kernel, Problem, limits_ma
 from smarttouch.kernels.linear_program import Chooser, LinearProgram, Options, ProgramRows
 
-# Largest allowed activation of the class more than a pitch from the target, relative to the target
+# Largest allowed activation of the class beyond a pitch from the target, relative to the target
 SPILL = 0.2
 GIVEN_UP = 0.03
 """Relative increase of off-target that is allowed in order to reduce spill."""
@@ -40,14 +40,14 @@ def design_kernel(
     Raises DesignError if no kernel keeps the limits. To reduce spill, off-target may exceed its
     minimum by the fraction `given_up`. If `given_up` is 0, spill is not minimized.
 
-    Ties are broken by symmetry, then by total current, then by the distance of currents from the
-    site and from the array's middle, so the result does not depend on the solver.
+    If several kernels are optimal, symmetry decides, then total current, then distance from the
+    site and from the array's middle. So the result does not depend on the solver.
 
     `spill` is the largest allowed spill; None sets no bound, as in the paper. If the pitch is
-    smaller than the depth of afferents, it may be impossible to keep the bound. Then the larger of
-    off-target and spill is minimized first. No electrode carries more than a thousand times the
-    current with which the best single electrode fires the target. `node` is the index of the target
-    on its axon; node 0 is under the electrode.
+    smaller than the depth of afferents, it may be that no kernel keeps the bound. Then the larger
+    of off-target and spill is minimized first. No current is more than a thousand times the one
+    that the best single electrode needs. `node` is the index of the target on its axon; node 0 is
+    under the electrode.
     """
     problem.check_site(site)
     rows = _ProgramBuilder(problem, site, spill, node)
@@ -200,15 +200,15 @@ class _ProgramBuilder:
         site, full = self._site, self._problem.full_ma(self._site)
         reference = np.sign(self._problem.target[site, site]) * self.orbits[site]
         factors = np.where(self.orbits > 0, electrode[:, None], np.inf).min(axis=0) / full
-        # The site's electrode carries the comfort level. A valid profile allows this current.
+        # Do not limit the site's electrode: a valid profile allows its comfort level.
         factors[self.orbits[site].argmax()] = np.inf
         # `total` limits the cathodic current, which is half of the sum of magnitudes.
         return reference, factors, 2 * total / full
 
 
 def _peaks(problem: Problem) -> Chooser:
-    """Return a function that selects violated rows at local maxima of the excess. This suffices, as
-    rows of neighboring nodes are nearly equal."""
+    """Return a function that selects violated rows at local maxima of the excess. Other rows are
+    not needed, because rows of neighboring nodes are nearly equal."""
 
     def choose(excess: Array) -> np.ndarray:
         chosen, start = [], 0

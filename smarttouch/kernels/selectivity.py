@@ -22,7 +22,7 @@ class FrameFigures:
     `off_target` and `spill` are relative to the smallest of these quotients."""
 
     off_target: float  # largest activation of any other class
-    spill: float  # largest activation of the same class more than a pitch from every target
+    spill: float  # largest activation of the same class beyond a pitch from every target
     weakest: float  # smallest activation of a target, relative to its requested activation
     strongest: float  # largest activation of a target, relative to its requested activation
     total_ma: float  # total cathodic current
@@ -33,9 +33,9 @@ class FrameFigures:
 class FrameBounds:
     """Largest allowed side effects of a slot.
 
-    Raises DesignError for impossible values. The default of 0.30 is the off-target that the paper's
-    linear program reaches for one SAI point on the paper's line array. To save current, all targets
-    of a slot can be weaker than requested by up to `uneven`.
+    Raises DesignError for impossible values. The default of 0.30 is the off-target of the paper's
+    kernel for one SAI point on its line array. To save current, all targets of a slot can be weaker
+    than requested by up to `uneven`.
     """
 
     other: float = 0.30  # largest allowed `FrameFigures.off_target`
@@ -55,7 +55,7 @@ _SAME_MM = 1e-9
 
 
 class FrameJudge:
-    """Calculator of the selectivity of slots that stimulate one class at several sites.
+    """Calculator of the selectivity of slots. A slot stimulates one class at several sites.
 
     `wish_af`, (E,) V/mm², is the requested activation of each target at level 1.
     """
@@ -106,7 +106,7 @@ class FrameJudge:
 
     @cached_property
     def _near(self) -> NDArray[np.bool_]:
-        """Which nodes of `own` lie within a pitch of each electrode, (E, M)."""
+        """Whether each node of `own` lies within a pitch of each electrode, (E, M)."""
         array, nodes = self.profile.electrodes, everywhere(self.profile, self.afferent)
         away = np.linalg.norm(array.position_mm[:, None] - nodes.position_mm, axis=2)
         return np.tile(away <= array.pitch_mm + _SAME_MM, len(nodes.direction))
@@ -116,7 +116,7 @@ class FrameJudge:
         return np.asarray(~self._near[active].any(axis=0))
 
     def judge(self, current: Array, level: Array) -> list[FrameFigures]:
-        """Return the selectivity of slots with currents (S, E) mA that request levels (S, E).
+        """Return the selectivity of slots with these currents, (S, E) mA, and levels, (S, E).
 
         `off_target` and `spill` are infinite if a target is not activated. Raises DesignError for a
         slot without an active site.
@@ -142,15 +142,15 @@ class FrameJudge:
 
 
 def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
-    """Return the activation of each target, (E,) V/mm², by its kernel at the comfort level. Pass
-    `KernelBank.kernels` and `KernelBank.receptor`, (E, E)."""
+    """Return the activation, (E,) V/mm², that each kernel causes at its target at the comfort
+    level. Pass `KernelBank.kernels` and `KernelBank.receptor`, (E, E)."""
     return np.asarray(profile.full_ma * (receptor * kernels).sum(axis=1), np.float64)
 
 
 _SOFT = 1e-6
 """Regularization of `independent`, relative to the mean response of the targets. Without it the
 system of equations is singular if all sites are active, because currents sum to zero."""
-AIM = 0.8  # to save current, all targets are weakened by this fraction of `FrameBounds.uneven`
+AIM = 0.8  # to save current, activations are reduced by this fraction of `FrameBounds.uneven`
 
 
 class FrameOperator:
@@ -184,7 +184,7 @@ def _zero_sum(count: int) -> Array:
 
 
 MOST_PROVED = 300  # largest number of electrodes for `proved_sets`, which then takes about 1 s
-_STEPS = (2, 3, 4)  # distances between the sites of a set, in rows and columns
+_STEPS = (2, 3, 4)  # distances to try between the sites of a set, in rows and columns
 _SINGLE = 1.0001  # safety factor for rounding errors of single precision
 _HALF_UA_MA = 0.0005
 _HALF_AMPLITUDE_MA = 0.000125 * (1 + 1e-9)  # half a quantization step of an amplitude
@@ -211,8 +211,8 @@ class SharedKernels:
 
     @cached_property
     def excited(self) -> tuple[Array, Array]:
-        """Positive activation by each kernel, (A, N) V/mm²: at nodes of other classes, and at nodes
-        of the same class. Within a pitch of the kernel's site, the second array is zero."""
+        """Positive activation by each kernel, V/mm²: at nodes of other classes, (A, N), and of the
+        same class, (A, M). The second array is zero within a pitch of the kernel's site."""
         judge = self.operator.judge
         others, own_af = self.kernels @ judge.others.T, np.maximum(self.kernels @ judge.own.T, 0)
         for row, site in zip(own_af, self.sites, strict=True):
@@ -242,8 +242,9 @@ class SharedKernels:
 
     @cached_property
     def weakest(self) -> float:
-        """Lower bound of a target's activation, relative to the requested one, for any subset of
-        the sites. If all electrodes are sites, the bound is below 1: currents sum to zero."""
+        """Each active target gets at least this share of its requested activation, whatever other
+        sites are active. It is below 1 if all electrodes are sites, because currents sum to
+        zero."""
         return float((self._reached / self._wish).min())
 
     def _against_targets(self, reached: float) -> float:
@@ -267,29 +268,28 @@ class Certainty:
     """Bounds on activations, V/mm², after rounding of currents. There are N sets of sites, and the
     bounds of a set hold for all its subsets.
 
-    A slot requests the currents c_k K_k for kernel k, where c_k = aim · intensity · level. Kernel k
-    has the peak p_k. Rounding causes three errors with exact bounds (`KernelLists.current_ua`):
+    A slot is the sum of c_k K_k over its kernels K_k, where c_k = aim · intensity · level. p_k is
+    the peak of kernel k. Rounding causes three errors (see `KernelLists.current_ua`):
 
-    - Amplitudes are multiples of 1/4 µA, so c_k is off by at most e_k = (1/8 µA) / p_k.
-    - Weights are integers with a peak of 32,767, divided by 32,768. This scales all currents by
-      φ = 32,767/32,768. The running sum of a kernel's currents over the electrodes is off by at
-      most half a step. If the peaks of a slot's kernels add up to P, the running sum of the slot's
-      currents is off by at most P/65,536.
-    - The running sum of the slot's currents is rounded to 1 µA. This adds an error of up to 1/2 µA.
+    - Amplitudes are multiples of 1/4 µA. So c_k is off by at most e_k = (1/8 µA) / p_k.
+    - Weights are multiples of 1/32,768 with a peak of φ = 32,767/32,768. This scales all currents
+      by φ. If the peaks of a slot's kernels add up to P, the running sum of the slot's currents
+      over the electrodes is off by at most P/65,536.
+    - This running sum is rounded to 1 µA, which adds an error of up to 1/2 µA.
 
-    The last two errors add up to at most h. The running sum is exactly 0 at the last electrode. By
+    h is the sum of the last two errors. The running sum is exactly 0 at the last electrode. By
     summation by parts, the AF at a node with row g is then off by at most V(g) = h Σ|g_j − g_j+1|.
-    At a node of another class, the AF is at most Σ_k (c_k + e_k) max(g·K_k, 0) + V(g). T_ik is the
-    AF of kernel k at target i. At target i, which has row t, the AF is at least
-    φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] − V(t). Without stored kernels, the error
-    is smaller: currents are added in double precision and rounded once.
+    At a node of another class, the AF is at most Σ_k (c_k + e_k) max(g·K_k, 0) + V(g). At target i
+    with row t, it is at least φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] − V(t), where
+    T_ik is the AF of kernel k at target i. Without stored kernels, the error is smaller: currents
+    are added in double precision and rounded once.
     """
 
-    # (2, N) largest activation divided by intensity: of other classes, and of the same class
+    # (2, N) largest activation, divided by intensity; rows: other classes, same class
     reached: Array
     rounding: Array  # (2, N) largest increase of the activation by rounding; rows as in `reached`
-    target: Array  # (N,) smallest activation of a target per unit of its level and of intensity
-    lost: Array  # (N,) largest loss of a target's activation by rounding, per unit of its level
+    target: Array  # (N,) smallest activation of a target, divided by its level and by intensity
+    lost: Array  # (N,) largest loss of a target's activation by rounding, divided by its level
     total_ua: float  # largest increase of a slot's total current by rounding
 
     @classmethod
@@ -297,7 +297,7 @@ class Certainty:
         cls, sets: Sequence[SharedKernels], aim: float, faintest: float, most_ma: float
     ) -> "Certainty":
         """Return the bounds for levels from ``faintest`` to 1, if slots carry at most ``most_ma``.
-        The activation of targets is ``aim`` times the requested activation."""
+        Targets get ``aim`` times the requested activation."""
         certainties = [cls._of_one(site_set, aim, faintest, most_ma) for site_set in sets]
         columns = np.array(certainties, np.float64).reshape(-1, 7).T
         return cls(
@@ -375,8 +375,8 @@ def provable(profile: Profile) -> bool:
 def proved_sets(judge: FrameJudge, bounds: FrameBounds) -> list[SharedKernels]:
     """Return sets of independent sites. Any sites of one set can share a slot within the bounds.
 
-    Each site is in one set. Targets are weakened as `AIM` says. The limit of each electrode is
-    checked; the total current is not. The list is empty if the array is too large or not a grid,
+    Each site is in one set. Activations are reduced (see `AIM`). The limit of each electrode is
+    checked, but not the total current. The list is empty if the array is too large or not a grid,
     or if no sets could be proved.
     """
     if not provable(judge.profile):

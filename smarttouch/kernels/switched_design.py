@@ -19,9 +19,9 @@ _RING_PITCHES = 1.5  # radius of a ring: eight neighbors on a square grid, six o
 
 
 def polarity(profile: Profile, afferent: Afferent) -> str:
-    """Return the polarity of the electrode over a target (Fig. 10): anodic for upright axons (RA)
-    with a passive ending, cathodic for upright axons whose ending can fire and for horizontal axons
-    (SAI, PC)."""
+    """Return the polarity of the electrode over a target (Fig. 10). It is anodic for upright axons
+    (RA) with a passive ending. It is cathodic for upright axons whose ending can fire, and for
+    horizontal axons (SAI, PC)."""
     anodic = afferent is Afferent.RA and profile.skin.ra_ending == "passive"
     return "anodic" if anodic else "cathodic"
 
