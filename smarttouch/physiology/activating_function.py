@@ -1,9 +1,9 @@
 """Potential and its second derivatives for one electrode on homogeneous skin, in closed form.
 
-The activating function of an axon is the second derivative of the potential along it (Eq. 2); cable
-models need the potential itself. Fields are for a unit **cathodic** current: the potential is
-negative. Under the electrode a horizontal axon is depolarized (its second derivative is positive),
-and a vertical one hyperpolarized.
+The activating function is the second derivative of the potential along an axon (Eq. 2). Cable
+models need the potential itself. Fields are for a unit **cathodic** current, so the potential is
+negative. Under the electrode the second derivative is positive along horizontal axons, which are
+depolarized, and negative along vertical axons, which are hyperpolarized.
 
 Lengths are in mm. Fields are relative to ρI/2π, for an electrode on the insulated surface of a half
 space; in an infinite medium they are half as large.
@@ -160,9 +160,8 @@ def _discs_of_annulus(
 def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: float) -> Field:
     """Return the field of a rectangle with uniform current density and sides along x and y.
 
-    The integral of 1/R over a rectangle is a sum over its corners of u ln(v + R) + v ln(u + R) −
-    z arctan(uv/zR), with algebraic second derivatives (Durand 1964). In gravimetry it is known as
-    the potential of a rectangular lamina.
+    The integral of 1/R over a rectangle is the sum of u ln(v + R) + v ln(u + R) − z arctan(uv/zR)
+    over its corners. Its second derivatives are algebraic (Durand 1964).
     """
     total = [np.zeros(np.broadcast(x, y).shape) for _ in range(6)]
     z2 = depth * depth
@@ -189,7 +188,7 @@ def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: fl
 
 
 _MARGIN_PITCHES = {"plane": 2.0}
-"""Largest distance of considered nodes from the array, in pitches, by medium (default: 1). In the
+"""Nodes up to this distance from the array are considered, in pitches; 1 for other media. In the
 plane, 2 gives the paper's range of −5 to 5 mm."""
 
 
@@ -359,8 +358,8 @@ def af_matrix(
 ) -> NDArray[np.float64]:
     """Return the AF at nodes, (D·N, E), V/mm² per mA of cathodic current; N rows per direction.
 
-    Positive values depolarize (Eq. 8 and 9). An active ending has one neighbor (McNeal's end node):
-    its AF is the potential difference to this neighbor over the squared internode.
+    Positive values depolarize (Eq. 8 and 9). The AF of an active ending is the potential difference
+    to its neighbor, divided by the squared internode (McNeal's end node).
     """
     skin = skin or profile.skin
     here, scale = field_at(profile.electrodes, skin, afferents.position_mm, afferents.depth_mm)

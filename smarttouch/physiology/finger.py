@@ -32,7 +32,7 @@ class Population:
     receptor_mm: Array  # (A, 2) mean place of each afferent's endings
     axon_path_mm: Array  # (B, P, 3) corners of each branch, ending first; z is depth
     owner: NDArray[np.intp]  # (B,) afferent of each branch
-    factor: Array  # (A,) threshold of each afferent, relative to that of the fiber model
+    factor: Array  # (A,) thresholds of afferents, relative to the fiber model
     anatomy: ClassAnatomy
 
 
@@ -51,7 +51,7 @@ def axon_path_length_mm(axon_path_mm: Array, corners: int) -> Array:
 
 
 def _along(axon_path_mm: Array, along_mm: Array) -> Array:
-    """Return the points, (B, N, 3), at distances ``along_mm``, (N,), from the endings of paths."""
+    """Return points on paths, (B, N, 3), at the distances ``along_mm``, (N,), from the endings."""
     steps = np.diff(axon_path_mm, axis=1)
     lengths = np.linalg.norm(steps, axis=2)
     begins = np.cumsum(lengths, axis=1) - lengths
@@ -152,7 +152,7 @@ class Finger:
 
     @cached_property
     def receptor_mm(self) -> Floats:
-        """Mean place of the endings of each afferent, (A, 2) mm, where its spikes are perceived."""
+        """Mean place of each afferent's endings, (A, 2) mm; spikes are perceived there."""
         places = [one.receptor_mm for one in self.populations.values()]
         return np.concatenate(places).astype(np.float32)
 
@@ -164,7 +164,7 @@ class Finger:
 
     @cached_property
     def rows(self) -> tuple[Floats, NDArray[np.intp]]:
-        """Drives, (N, E), of all nodes that allowed currents can fire, and ``starts``, (A,).
+        """Drives, (N, E), of all nodes that can fire within limits, and ``starts``, (A,).
 
         A drive, float32 1/mA, is the effect of 1 mA of cathodic current with the profile's pulse. A
         node fires if the sum of drive times current, mA, is at least 1. The rows of afferent i
@@ -286,8 +286,8 @@ class Finger:
         limit_ma = float(limits.current_ma)
         total = float(limits.total_ma or np.inf)
         share = np.clip(total - limit_ma * np.arange(rows.shape[1]), 0, limit_ma)
-        # Pair the electrode with the largest drive and the one with the smallest, then the second
-        # largest and the second smallest, and so on. Pairs that lower the drive get no current.
+        # Pair the largest drive with the smallest, the second largest with the second smallest, and
+        # so on. Pairs that lower the drive get no current.
         return np.asarray(np.maximum(ranked[:, ::-1] - ranked, 0) @ share)
 
 

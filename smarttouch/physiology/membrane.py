@@ -30,8 +30,8 @@ _RATES_HOLD_MV = 200.0  # gate rates use potentials clipped to ± this value, wh
 _PADDING = 12  # nodes added beyond the last one
 _WATCHED = -5  # index of the padding node whose spike shows that the fiber has fired
 _FIRED_MV = 80.0
-# Once the m gates have settled (12 µs), a fiber below 10 mV stays silent: its leak current exceeds
-# the sodium current, even with all h gates open.
+# A fiber below 10 mV cannot fire any more once the m gates have settled (12 µs): its leak current
+# exceeds the sodium current, even with all h gates open.
 _QUIET_MV, _SETTLED_US = 10.0, 100.0
 _FLOOR_MA, _CEILING_MA = 1e-4, 1000.0
 # Number of currents tried in each round. The last round finds the threshold within 0.1 %. The first
@@ -51,16 +51,16 @@ class Fiber:
     """
 
     diameter_um: float = 3.3  # outer; 3.3 ± 0.5 at the fingertip (Nolano et al. 2003)
-    # Distance between nodes: 0.079 ± 0.014 at the fingertip (Nolano et al. 2003), 100 diameters in
-    # nerve trunks (McNeal 1976)
+    # Distance between nodes: 0.079 ± 0.014 mm at the fingertip (Nolano et al. 2003), 100 diameters
+    # in nerve trunks (McNeal 1976)
     internode_mm: float = 0.079
     axon_ratio: float = 0.6  # axon diameter relative to fiber diameter (Sweeney et al. 1987)
     node_um: float = 1.5  # length of a node (Sweeney et al. 1987)
     end: Literal["passive", "active", "through"] = "passive"
     # Membrane area of a passive terminal, which has 1 µF/cm² and 1 mS/cm². Our estimate: 0.5 mm of
     # neurite 2 µm thick, coiled in a corpuscle about 100 µm long and 60 µm wide. The area decides
-    # which polarity fires an upright fiber with less current. For pulses of 200 µs at a depth of
-    # 0.7 mm, this polarity is anodic, or cathodic if the area is less than about 1250 µm².
+    # which polarity fires an upright fiber with less current. With pulses of 200 µs at a depth of
+    # 0.7 mm, this polarity is anodic above about 1250 µm² and cathodic below.
     terminal_um2: float = 3000.0
 
     def __post_init__(self) -> None:
@@ -83,8 +83,8 @@ class Axon:
     A time step is split (Strang): half a step of the membranes, a step of axial current, half a
     step of the membranes. Each part is solved exactly. Gates are half a step ahead of potentials.
     The fiber continues beyond the last node, in a field without curvature. Arguments are as for
-    `threshold_ma`; potentials can be (C, N) for C fields. `push`, (P,) or (C, P), is the change of
-    membrane potentials, mV, that 1 mA causes in one step. P is the number of nodes with padding.
+    `threshold_ma`; potentials can be (C, N) for C fields. `push`, (P,) or (C, P), is what 1 mA adds
+    to membrane potentials in one step, mV. P is the number of nodes with padding.
     """
 
     def __init__(self, potential_mv_per_ma: ArrayLike, fiber: Fiber, step_us: float) -> None:
@@ -209,7 +209,7 @@ def threshold_ma(
 
 
 def _fires(axon: Axon, driven_mv: Array, steps: int) -> NDArray[np.bool_]:
-    """Return which of the drives, (A, P), fire the fiber. ``steps`` is the duration of a drive."""
+    """Return which of the drives, (A, P), fire the fiber. A drive lasts ``steps`` time steps."""
     v, gates = axon.rest(len(driven_mv))
     alive = np.arange(len(driven_mv))
     fires, step = np.zeros(alive.size, np.bool_), 0
@@ -248,8 +248,8 @@ FIBERS = {
     "mrg": Fiber(diameter_um=5.7, internode_mm=0.5055746, terminal_um2=1850.0),
 }
 """Fibers by name: at the fingertip (Nolano et al. 2003), in a nerve trunk, and of the MRG model.
-With a terminal of 1850 µm² an upright fiber at 0.7 mm needs 1.38 times as much cathodic as anodic
-current; macaque RA afferents need 1.3 to 1.5 times (Kaczmarek 2000)."""
+A terminal of 1850 µm² gives an upright fiber at a depth of 0.7 mm a cathodic threshold of 1.38
+times the anodic one. For macaque RA afferents, the ratio is 1.3 to 1.5 (Kaczmarek 2000)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,8 +260,8 @@ class DrivingFunction:
     end: End  # kind of ending, as in `Fiber`
     along: Array  # (K + 1,) 1/mV: weights of a node and of K neighbors on each side
     near_end: Array  # (H, L) 1/mV: replaces `along` in the first H drives; empty for "through"
-    # A node blocks a passing spike if its hyperpolarizing drive is at least `block` times the drive
-    # of the node that fired. Long anodic pulses can block. `block` is infinite if no node can.
+    # A node stops a passing spike if its hyperpolarizing drive is at least `block` times the drive
+    # of the node that fired. `block` is infinite if no node stops spikes.
     block: float = np.inf
 
     def drive(self, potential_mv: Array) -> Array:

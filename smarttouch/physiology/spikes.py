@@ -17,7 +17,7 @@ Floats = NDArray[np.float32]
 _KNOWN = 1024  # largest number of slots whose drives are cached
 _AT_ONCE = 64  # slots whose drives are computed together, which takes about 40 MB
 _FARTHEST = 6.0
-"""Distance below threshold, in standard deviations of noise, at which an afferent is assumed
+"""An afferent that is this far below threshold, in standard deviations of noise, is assumed
 silent."""
 
 
@@ -50,9 +50,9 @@ class Spikes:
 class SpikeModel:
     """Spiking model of a finger's afferents, with thresholds, noise and refractory periods.
 
-    An afferent fires in a slot if the drive of one of its nodes reaches its threshold and it did
-    not fire within the refractory period. Drives depend on pulse width by Weiss's law. ``seed``
-    determines the noise: random changes of thresholds from pulse to pulse.
+    An afferent fires in a slot if the drive of one of its nodes reaches the threshold, unless the
+    afferent fired within the refractory period. Drives depend on pulse width by Weiss's law.
+    ``seed`` determines the noise: random changes of thresholds from pulse to pulse.
     """
 
     def __init__(self, finger: Finger, seed: int = 1) -> None:
@@ -98,7 +98,7 @@ class SpikeModel:
         return np.stack(drives, axis=1) if drives else self._computed(slots).T
 
     def _computed(self, slots: Floats) -> Floats:
-        """Return drives, (S, A). ``slots``, (S, E + 1), are currents, µA, and the width, µs."""
+        """Return drives, (S, A). Each slot, (E + 1,), has the currents, µA, and the width, µs."""
         nodes = slots[:, :-1] / np.float32(1000) @ self._rows.T
         by_class = strength(slots[:, -1:], self._chronaxie_us) / self._reference
         starts = self._starts
@@ -106,7 +106,7 @@ class SpikeModel:
         return np.asarray(highest * by_class.astype(np.float32)[:, self.finger.classes])
 
     def fire(self, slots: SlotCurrents, above: Floats | None = None) -> Spikes:
-        """Return the spikes of a sequence, which begins when the sequence of the last call ends.
+        """Return the spikes of a sequence. It begins when the sequence of the last call ends.
         ``above`` is the result of `drive` for the slots; if None, it is computed."""
         lasts = slots.width_us.astype(np.int64) + slots.discharge_us
         time_us = self._now_us + np.cumsum(lasts) - lasts
@@ -131,14 +131,14 @@ class SpikeModel:
 
 @dataclass(frozen=True)
 class ResponseQuality:
-    """Quality of a finger's response to a pattern. Active electrodes are those that were requested
-    to stimulate."""
+    """Quality of a finger's response to a pattern. An electrode is active if it was requested to
+    stimulate."""
 
     spikes: int  # of all classes
     afferents: dict[Afferent, int]  # number of afferents that fired, by class
     # share of active electrodes with no spikes of a wanted class within half a pitch
     silent_points: float
-    wrong_class: float  # share of spikes of classes that are not wanted; NaN without spikes
+    wrong_class: float  # share of spikes in unwanted classes; NaN without spikes
     # share of spikes more than a pitch away from all active electrodes; NaN without spikes
     misplaced: float
 
@@ -149,8 +149,8 @@ def response_quality(
     active: NDArray[np.bool_],
     wanted: Collection[Afferent],
 ) -> ResponseQuality:
-    """Return the quality of spike counts, (A,). ``active``, (E,), are the electrodes that were
-    requested to stimulate, ``wanted`` the requested classes."""
+    """Return the quality of spike counts, (A,). ``active``, (E,), marks the electrodes that should
+    stimulate. ``wanted`` are the requested classes."""
     electrodes = finger.profile.electrodes
     fired = np.flatnonzero(counts)
     spikes, classes = counts[fired], finger.classes[fired]
@@ -176,8 +176,8 @@ def ignore_nan(how: Callable[[list[float]], float], values: Iterable[float]) -> 
 
 
 def middle_90(values: Iterable[float]) -> tuple[float, float, float]:
-    """Return the median and the bounds of the middle 90 % of the values that are not NaN; NaN if
-    there are none."""
+    """Return the median and the bounds of the middle 90 % of values. NaN values are ignored; if
+    there are no other values, return NaN."""
     known = [value for value in values if not isnan(value)]
     middle, low, high = np.quantile(known, (0.5, 0.05, 0.95)) if known else (nan, nan, nan)
     return float(middle), float(low), float(high)
@@ -290,10 +290,10 @@ def delivered_spikes(
     most_slots: int | None = None,
     model: SpikeModel | None = None,
 ) -> Counts:
-    """Return the number of spikes of each afferent for each sequence. Keys are sequence numbers.
-    There are N slots; those of a sequence are consecutive. Sequences that are missing in
+    """Return the spike counts of afferents, (A,), by sequence number. ``numbers`` has the sequence
+    number of each slot. The slots of a sequence are consecutive. Sequences that are missing in
     ``period_us`` are left out. If there are more than ``most_slots`` slots, only every n-th
-    sequence is used. ``model`` is reset first, but its cached drives are used."""
+    sequence is used. ``model`` is reset first."""
     begins = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
     parts = zip(begins, np.append(begins[1:], len(numbers)), strict=False)
     sequences = {}

@@ -36,7 +36,7 @@ RA_BEST_HZ, RA_BAND_HZ = 30.0, (20.0, 70.0)
 PC_BEST_HZ, PC_BAND_HZ = 250.0, (60.0, 800.0)
 """Best frequency and band of PC (paper, Section III-C)."""
 BAND_DB = 3.0
-"""Rise of RA's threshold at the edges of its band (our choice: half the power)."""
+"""RA's threshold at the edges of its band, dB above the minimum (our choice)."""
 MEETING_HZ = 40.0
 """Frequency at which RA and PC have equal thresholds on the fingertip (Güçlü and Bolanowski)."""
 PC_BEST_DB, SAI_DB = -10.0, 28.0
