@@ -183,7 +183,7 @@ def require_within(
 ) -> None:
     """Raise an error unless a number is within a range. NaN is outside every range.
 
-    In the message, ``words`` replaces name and number. If ``above``, ``least`` itself is refused.
+    ``words`` replaces name and number in the message. If ``above``, ``least`` is not allowed.
     """
     if least <= value <= most and not (above and value == least):
         return

@@ -31,11 +31,11 @@ MOST_TABLE_BYTES = 16_000_000
 """Size limit of CSV and JSON files."""
 MOST_TOML_BYTES = 1_000_000
 """Size limit of TOML files, because parsing takes seconds per megabyte. A profile of 1000
-electrodes needs a tenth of it."""
+electrodes needs a tenth of this size."""
 MOST_ARRAY_BYTES = 256_000_000  # size limit of files with NumPy arrays
 MOST_BANK_BYTES = 700_000_000
-"""Size limit of kernel banks and of recordings of serial lines. A bank of 4,096 electrodes has
-605 MB before compression; nearly all values are zeros."""
+"""Size limit of kernel banks and of recordings of serial lines. The bank of 4,096 electrodes has
+605 MB before compression."""
 MOST_DOCUMENT_BYTES = 2_000_000_000  # size limit of images, PDFs and videos
 
 
@@ -136,7 +136,7 @@ def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
 
 
 def owner_only(path: str, flags: int) -> int:
-    """Opener for `open`. If it creates a file, only the file's owner can access this file."""
+    """Opener for `open`. Only the owner of a new file can access it."""
     return os.open(path, flags | O_NOCTTY | O_BINARY, 0o600)
 
 
@@ -193,7 +193,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
             file = os.fdopen(owner_only(os.fspath(path), flags), "r+b")
             status = os.fstat(file.fileno())
             if user_number() is not None and status.st_mode & 0o077:
-                # Ignore errors for the user's own file: some file systems have no permissions.
+                # Some file systems have no permissions: ignore the error if the user owns the file.
                 with contextlib.suppress(*[OSError] * (status.st_uid == user_number())):
                     os.fchmod(file.fileno(), 0o600)
         except OSError as failure:
@@ -253,7 +253,7 @@ def read_csv(
     *,
     rising: bool = True,
 ) -> "dict[str, NDArray[np.float64]]":
-    """Read the ``needed`` columns of a CSV file and its ``optional`` ones, if any, as numbers.
+    """Read columns of a CSV file as numbers: the ``needed`` ones, and ``optional`` ones if present.
 
     If ``rising``, the first column must increase. Raises ``error``.
     """

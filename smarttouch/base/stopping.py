@@ -38,8 +38,8 @@ class StopRequest:
         with self._lock:
             # Keep the first reason, also after a second Ctrl-C.
             self.reason = self.reason or reason
-            # Set the event under the lock, so that each function is called: either it is already in
-            # the list, or the thread that adds it in `on_stop` sees the event and calls it.
+            # Set the event under the lock, so that no function is missed: either it is in the list,
+            # or the thread that adds it in `on_stop` sees the event and calls it.
             self.event.set()
             calls = self._on_stop.copy() if at_once else []
         with contextlib.ExitStack() as stack:
@@ -49,8 +49,8 @@ class StopRequest:
                 stack.callback(call)
 
     def always_on_stop(self, tell: Callable[[], None]) -> None:
-        """Call a function when the end is requested. Functions that are added later are called
-        first: a run is added after its board, and must end before the board refuses sequences."""
+        """Call a function when the end is requested. The function added last is called first, so
+        that a run ends before its board refuses sequences."""
         with self._lock:
             self._on_stop.insert(0, tell)
 
@@ -74,8 +74,8 @@ _pending: BaseException | None = None
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Delay exceptions of signal handlers until the block ends, so that for example a write to a
-    board is complete."""
+    """Delay exceptions of signal handlers until the block ends. So a write to a board, for example,
+    is complete."""
     global _writes, _pending
     if threading.current_thread() is not threading.main_thread():
         yield

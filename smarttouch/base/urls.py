@@ -161,7 +161,7 @@ _TRUTHS = {"": True, "1": True, "yes": True, "true": True, "0": False, "no": Fal
 
 
 def options_of(opener: Callable[..., Any], but: Collection[str] = ()) -> dict[str, Any]:
-    """Return name and type of those options of an opener that can be given as text."""
+    """Return the name and type of each option of an opener that can be given as text."""
     kinds = {}
     for parameter in inspect.signature(opener).parameters.values():
         if parameter.default is inspect.Parameter.empty or parameter.name in but:

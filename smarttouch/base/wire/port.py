@@ -122,8 +122,8 @@ def reopen_port(
     baudrate: int = 921600,
 ) -> Port:
     """Wait up to ``within_s`` until a lost port is back with the same USB identity, and open it
-    without writing. Raises OtherDeviceError if another device is there. ``pause`` sleeps for some
-    seconds between tries; its exceptions end the wait."""
+    without writing. Raises OtherDeviceError if another device has the port. ``pause`` sleeps
+    between tries; an exception that it raises ends the wait."""
     deadline = time.monotonic() + within_s
     while True:
         try:
@@ -174,9 +174,9 @@ def _is_hung_up(number: int) -> bool:
 def write_before(
     port: Port, data: bytes, latest_ns: int, now_ns: Callable[[], int], within_s: float = 0.5
 ) -> bool:
-    """Write bytes unless it is later than ``latest_ns``; return whether they were written.
-    The write follows the check of the clock directly, so bytes are late only if the system suspends
-    the process in between. Raises an error if the port accepts no bytes for ``within_s``."""
+    """Write bytes if the time is at most ``latest_ns``; return whether they were written. Nothing
+    else happens between the check of the time and the write. Raises an error if the port accepts no
+    bytes for ``within_s``."""
     number, sent = _descriptor(port), 0
     if number is not None and os.get_blocking(number):
         os.set_blocking(number, False)
