@@ -35,8 +35,8 @@ class SentPulse:
         Current of each electrode, positive cathodic.
     width_us : float, µs
     discharge_us, period_us : float, optional, µs
-        Time for which all electrodes are shorted after the pulse, and duration of a pass of the
-        sequence; None if the device itself determines the time.
+        Time of the short circuit after the pulse, and period of the sequence. None if the device
+        determines the time.
     """
 
     current_ua: tuple[float, ...]
@@ -49,7 +49,7 @@ ZERO = SentPulse((), 0.0)  # all electrodes are shorted, and earlier commands ar
 
 
 def planned_pulses(sequence: ScanSequence, times: int) -> list[SentPulse]:
-    """Return the pulses of all passes of a sequence; a recharge phase is one pulse."""
+    """Return the pulses of all passes of a sequence; a recharge phase counts as one pulse."""
     period_us = float(sequence.period_us)
     one_pass = [
         SentPulse(tuple(map(float, current_ua)), float(width_us), float(discharge_us), period_us)
@@ -80,8 +80,8 @@ def assert_same_pulses(
 
 class AtLine:
     """Context manager that starts an action in a new thread when a driver executes a line.
-    ``number`` is the index of this line among all executed lines of the driver's package; lines of
-    `Board` are not counted."""
+    ``number`` is the index of the line among the executed lines of the driver's package, without
+    those of `Board`."""
 
     thread: threading.Thread | None
 
@@ -316,7 +316,7 @@ class DriverContract:
             time.sleep(0.02)
 
     def recharged_sequence(self, step: int) -> ScanSequence:
-        """Return one slot and a recharge phase of 2 ms that returns most of its charge."""
+        """Return one slot, and a recharge phase of 2 ms that returns most of the slot's charge."""
         sequence, recharge_us = self.sequence(step, sites=[0]), 2000
         back_ua = abs(sequence.current_ua[0, -1]) * self.width_us // recharge_us
         recharge_ua = np.where(sequence.current_ua[0] < 0, back_ua, -back_ua).astype(np.int16)
