@@ -4,7 +4,7 @@ import itertools
 import re
 import unicodedata
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 
 from smarttouch.braille.cells import BLANK
 
@@ -69,13 +69,15 @@ class Grade1:
 
     def encode(self, line: str) -> str:
         """Translate a line of text to cells."""
-        return encode_scripts(line, self._encode, self._encode)
+        return encode_scripts(
+            line, self._encode, self._encode, partial(self._encode, opening=False)
+        )
 
-    def _encode(self, line: str) -> str:
+    def _encode(self, line: str, opening: bool = True) -> str:
         text = _plain_apostrophes(line)
         before, after = _capitals(text)
         cells: list[str] = []
-        numeric, opening = False, True
+        numeric = False
         for index, character in enumerate(text):
             following = text[index + 1 : index + 2]
             if index in before:
@@ -157,15 +159,19 @@ class Grade1:
 Translator = Callable[[str], str]
 
 
-def encode_scripts(line: str, encode: Translator, encode_item: Translator) -> str:
+def encode_scripts(
+    line: str, encode: Translator, encode_item: Translator, encode_rest: Translator | None = None
+) -> str:
     """Translate a line by ``encode``, but superscripts and subscripts to technical notation.
-    ``encode_item`` translates the content of a superscript or subscript."""
+    ``encode_item`` translates the content of a superscript or subscript, and ``encode_rest``
+    (default: ``encode``) the text after it."""
     cells, end = "", 0
     for script in _SCRIPT.finditer(line):
         item = encode_item(script[2].strip("()")).replace("⠐⠤", "⠤").replace("⠤", _MINUS)
         if script[2][0] in "(-−":
             item = f"⠣{item}⠜"
         cells = _joined(cells, encode(line[end : script.start()]))
+        encode = encode_rest or encode
         cells += _GRADE_1 * (not line[script.start() - 1].isdigit()) + _LEVELS[script[1]] + item
         end = script.end()
     return _joined(cells, encode(line[end:]))
