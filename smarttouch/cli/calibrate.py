@@ -237,7 +237,7 @@ def contact(
     masked = judged.masked(chosen)
     still = sorted(set(chosen.output.masked) - set(judged.broken))
     if still:
-        typer.echo(f"Still masked: {still}. Remove electrodes that are good from output.masked.")
+        typer.echo(f"Still masked: {still}. If one of them works, remove it from output.masked.")
     if masked != list(chosen.output.masked):
         typer.echo(f"Masked: {masked}. The next run designs kernels without these electrodes.")
     file.set("output.impedance_kohm", judged.impedances(chosen))

@@ -59,13 +59,13 @@ def emulate(
     device: Annotated[
         str,
         argument(
-            "link, kajimoto61, etactilekit, serial-array, hx711 or loadcell, with options as in "
-            "'link?electrodes=16&event=2 lift'; or a file made by --board 'KIND:PORT?record=FILE'.",
+            "Kind: link, kajimoto61, etactilekit, serial-array, hx711 or loadcell; options as in "
+            "'link?electrodes=16&event=2 lift'. Or a file from --board 'KIND:PORT?record=FILE'.",
             "KIND|FILE",
         ),
     ],
 ) -> None:
-    """Emulate a board on skin, or a sensor, on a new port, until Ctrl-C."""
+    """Open a new port, and emulate a board or a sensor there, until Ctrl-C."""
     from smarttouch.emulator.devices import emulate as emulate_device
 
     emulate_device(device, advise=True)

@@ -71,8 +71,8 @@ def run_listed(
         str | None,
         argument(
             "Name of an experiment, the word free, or your own file (default: list all). Options "
-            "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27'; "
-            "others are rate_hz (unless rates are compared), trials, train_s, gap_s and answer_s.",
+            "follow a ?, as in 'frequency?standards=15,30&repetitions=5'. Others: procedure, site, "
+            "trials, train_s, gap_s, answer_s and, if rates are not compared, rate_hz.",
             "NAME|FILE.py",
         ),
     ] = None,

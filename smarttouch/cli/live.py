@@ -26,7 +26,7 @@ def live(
         argument(
             "A file, words, or a source by its URL: page:, text:, camera:, video:, "
             "frames:, serial-array:, brltty:, socket:, recording:, texture:, vibration:. Options "
-            "follow: 'scan.png?dpi=300&speed_mm_s=40'. The default is a sample page.",
+            "follow a ?, as in 'scan.png?dpi=300&speed_mm_s=40'. The default is a sample page.",
             "SOURCE",
             callback=or_standard_input,
         ),
@@ -90,7 +90,7 @@ def replay(
     ] = False,
     info: Annotated[bool, option("Print a summary and the events.", None, "--info")] = False,
 ) -> None:
-    """Play a recording, compute it again and compare, or print its summary.
+    """Play a recording, check it by a new computation (--check), or summarize it (--info).
 
     By default, a simulated board uses the recorded profile and force, and a real board uses its own
     profile and force. --intensity scales the recorded intensity.

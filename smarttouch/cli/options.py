@@ -1,4 +1,4 @@
-"""Options of several commands, parts of a run that these options define, and help as plain text."""
+"""Options that commands share. `RunOptions` builds the parts of a run. Help is plain text."""
 
 import inspect
 import sys
@@ -80,7 +80,7 @@ def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
 def read_form(
     form: Callable[..., Any], text: str, error: type[SmartTouchError], but: Collection[str] = ()
 ) -> tuple[str, dict[str, Any]]:
-    """Parse ``NAME?OPTIONS``; return the name and the options, which are parameters of ``form``."""
+    """Parse ``NAME?OPTIONS``; return the name and its options, which ``form`` has as parameters."""
     from smarttouch.base.urls import options_of, read_options
 
     name, accepted = read_options(form, text, error, but)

@@ -109,7 +109,7 @@ class FormOptions(OptionGroup):
     kind: Annotated[
         str | None,
         option(
-            "Read shapes or braille. Options follow: 'shapes?speed_mm_s=20', "
+            "Read shapes or braille. Options follow a ?, as in 'shapes?speed_mm_s=20', "
             "'braille?table=en-2&speed_mm_s=40'.",
             "FORM",
             "--as",
@@ -143,7 +143,7 @@ def read(
         str,
         argument(
             "A page (image, PDF), a text, Braille (.brf), words, or - for "
-            "standard input. Options follow: 'book.pdf?pages=3-5&dpi=300'.",
+            "standard input. Options follow a ?, as in 'book.pdf?pages=3-5&dpi=300'.",
             "FILE",
             callback=or_standard_input,
         ),
@@ -196,8 +196,8 @@ def braille(
     source: Annotated[
         str | None,
         argument(
-            "A file of text (HTML, EPUB, DOCX …), cells (.brf) or print (image, PDF); "
-            "words, or text:WORDS if a file has this name; or - for standard input.",
+            "A file (text: HTML, EPUB, DOCX …; cells: .brf; print: image, PDF), words, or - for "
+            "standard input. If a file is named like the words, write text:WORDS.",
             "TEXT|FILE|-",
             callback=or_standard_input,
         ),
@@ -293,7 +293,7 @@ def braille_display(
     address: Annotated[
         str,
         argument(
-            "PORT or HOST:PORT of this machine, where BRLTTY connects. Options follow: "
+            "PORT or HOST:PORT of this machine, where BRLTTY connects. Options follow a ?, as in "
             "'35752?cells=10&speed_mm_s=60'.",
             "[ADDRESS]",
         ),
