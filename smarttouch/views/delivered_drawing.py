@@ -48,9 +48,9 @@ _SIDE_MM = 0.5  # spacing of skin points that mark where the finger has been
 class SpikeMap:
     """Picture of spikes on white. Each spike is at its receptor, in the color of its class.
 
-    ``placed`` converts points on a finger at a pose to points on the picture, (N, 2) mm from the
-    picture's corner. Spikes are blurred with the standard deviation ``field_mm``. With ``mean``,
-    the spikes at a point are averaged over all poses in which the finger covered the point.
+    ``placed`` takes points on the finger and a pose. It returns points on the picture, (N, 2) mm
+    from its corner. Spikes are blurred with the standard deviation ``field_mm``. With ``mean``, the
+    spikes at a point are averaged over all poses in which the finger covered the point.
     """
 
     def __init__(
@@ -168,7 +168,7 @@ class DeliveredDrawing(ABC):
         return np.column_stack([pose.x_mm + x * cos - y * sin, pose.y_mm + x * sin + y * cos])
 
     def picture(self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float) -> Grey:
-        """Draw the responses in an area in gray, (H, W): 255 is none, 0 is the strongest."""
+        """Return the responses in an area as gray levels, (H, W): 255 is none, 0 the strongest."""
         raster = Raster(shape, self.strongest)
         silent = np.zeros(len(self._position_mm), np.float32)
         for number, pose in self.poses.items():
@@ -215,11 +215,11 @@ class DeliveredDrawing(ABC):
         pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / self.longest_px)
         height, width = round(height_mm / pixel_mm), round(width_mm / pixel_mm)
         area = (corner_mm, (height, width), pixel_mm)
-        rows = [(f"Delivered: {self._names} pulses where the electrodes were", self.picture(*area))]
+        rows = [(f"Delivered: {self._names} pulses, each at its electrode", self.picture(*area))]
         finger = self._finger
         if finger is not None:
             words = (
-                f"Felt by finger {finger.seed}, {finger.anatomy.name}: spikes where receptors were"
+                f"Felt by finger {finger.seed}, {finger.anatomy.name}: spikes, each at its receptor"
             )
             rows.append((words, self.felt_picture(*area)))
         if draw_under is not None:
@@ -256,7 +256,7 @@ def _draw_scale(
     ink: Ink,
     most: int,
 ) -> None:
-    """Draw a scale bar and its length, left of ``end`` (right, top)."""
+    """Draw a scale bar and, left of it, its length. ``end`` is the top right corner of the bar."""
     right, top = end
     length_mm = next(
         (scale_mm for scale_mm in _SCALES_MM if scale_mm * per_mm <= _SCALE_PART * most), 0.5
@@ -271,7 +271,7 @@ def _draw_classes(
     font: ImageFont.ImageFont | ImageFont.FreeTypeFont,
     end: tuple[int, int],
 ) -> None:
-    """Write the names of the afferent classes in their colors, left of ``end`` (right, top)."""
+    """Write the afferent classes in their colors. ``end`` is the top right corner of the text."""
     right, top = end
     for afferent, color in reversed(CLASS_COLORS.items()):
         draw.text((right, top), afferent.name, fill=color, font=font, anchor="ra")
@@ -301,7 +301,7 @@ class PageDrawing(DeliveredDrawing):
             self._sheets[sheet.number] = sheet
 
     def under(self) -> Under:
-        """Describe the area of all pages or, if there are none, of all electrode positions."""
+        """Describe the area of the pages; without pages, the area that the electrodes touched."""
         if not (self._sheets or self.poses):
             raise SmartTouchError("nothing to draw, as no pulse was delivered: raise the intensity")
         places_mm = [self.places_mm(pose) for pose in self.poses.values()]

@@ -83,8 +83,8 @@ def _reach_mm(profile: Profile) -> Array:
 
 
 def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
-    """Return for each class an array, (D, ..., E): the activating function at ``places``, (..., 2).
-    There are D fiber directions. Each of E electrodes alone carries 1 mA."""
+    """Return for each class the activating function at ``places``, (..., 2), for 1 mA through one
+    electrode alone: an array (D, ..., E) for D fiber directions and E electrodes."""
     skin = profile.skin
     per_ma = {}
     for shown in Afferent:

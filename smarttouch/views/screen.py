@@ -29,7 +29,7 @@ from smarttouch.views.keys_and_signals import Output, Terminal
 
 _REFRESH_S = 0.2
 _LEAST_REST = 20  # after a redraw, pause at least this many times as long as the redraw took
-_KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
+_KEYS = "+ − intensity    0 off    space pause    m mode    q, Esc end"
 _ROOMY = 20  # in a terminal of at least this many rows, an event may take two rows
 _LEAST_PICTURE = 9  # smallest height of the pictures with titles, rows
 _NAME = 9
@@ -349,7 +349,7 @@ def _columns(rows: Rows, width: int) -> list[Row]:
     return columns
 
 
-_BLIND_KEYS = "+ − amplitude    0 none    space pause    q, Esc end; the session can continue later"
+_BLIND_KEYS = "+ − amplitude    0 off    space pause    q, Esc end; the session can continue later"
 
 
 class BlindScreen(Screen):
@@ -413,8 +413,8 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
         f"{rate}; computing takes {figures['work_share']:.1%} of the time",
         f"strongest pulse {figures['max_current_ma']:.2f} mA, "
         f"{figures['max_charge_uc']:.3f} µC; {net}",
-        f"session: {figures['dose_s']:.1f} s of current, at most {figures['dose_mc']:.2f} mC "
-        f"and net at most {figures['dose_net_uc']:.3g} µC through one electrode",
+        f"session: {figures['dose_s']:.1f} s of current; largest charge through an electrode "
+        f"{figures['dose_mc']:.2f} mC, largest net charge {figures['dose_net_uc']:.3g} µC",
         counted,
     ]
     if figures["worst_other"] is not None:

@@ -44,10 +44,10 @@ def write_failure(error: OSError, name: str) -> Exception:
 
 
 class PlainStream:
-    """Standard stream whose failures become a SmartTouchError.
+    """Standard stream. A failed write raises the error of `write_failure`.
 
     If ``name`` is empty, failures are ignored. With ``plain``, control characters are replaced, and
-    `isatty` returns False to prevent drawing. To draw, `console` uses the stream `direct`.
+    `isatty` returns False, so that no library draws. `console` draws on the stream `direct`.
     """
 
     def __init__(self, stream: TextIO, name: str, plain: bool = True) -> None:

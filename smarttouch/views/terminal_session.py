@@ -144,8 +144,8 @@ def _load_kernels(profile: Profile) -> KernelBank:
 
 
 class _Operation(Listener):
-    """Listener that lets a run end in order after a signal. With ``asks``, it also offers the last
-    comfortable level of each mode, and logs the levels that the user keeps."""
+    """Listener that lets a run end normally after a signal. If ``asks``, it also offers the user
+    the last comfortable level of each mode, and logs the levels that the user keeps."""
 
     def __init__(self, draws: bool, asks: bool) -> None:
         super().__init__()
@@ -217,7 +217,7 @@ def describe_recording(path: Path) -> list[tuple[str, str]]:
         ("profile", f"{recording.profile.name}, {recording.profile.title}"),
         *((name, str(settings.get(name) or "none")) for name in _SUMMARIZED),
         ("sequences", ", ".join(f"{mode} {count:,}" for mode, count in modes.items()) or "none"),
-        ("strongest", f"{strongest_ma:.2f} mA through one electrode, in {slots:,} slots"),
+        ("strongest", f"{strongest_ma:.2f} mA through one electrode; slots: {slots:,}"),
         ("versions", ", ".join(f"{name} {value}" for name, value in versions.items())),
         ("file", f"{path.stat().st_size / 1e6:.2f} MB"),
         *((f"{at_ns / 1e9:10.3f} s", words) for at_ns, words in recording.events),

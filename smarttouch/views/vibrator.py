@@ -14,7 +14,7 @@ from smarttouch.running.step import Listener, RunContext, StepResult
 CARRIER_HZ = 250.0  # best frequency of the Pacinian corpuscle (paper, Sections I and V)
 RATE_HZ = 48_000
 HOLD_S = 0.08  # longest vibration; with fade-out and sound card delay, at most 0.1 s
-FADE_S = 0.004  # time from zero to full amplitude: one cycle avoids clicks
+FADE_S = 0.004  # time from zero to full amplitude: one cycle of the carrier, to avoid clicks
 _NEEDS = "sound: needs a sound card; pip install sounddevice; on Linux apt install libportaudio2"
 
 
@@ -37,7 +37,7 @@ class Vibrator(Listener):
         self._target = target
         self._output: _WavFile | _SoundCard | None = None
         if target != "sound:" and (Path(target).suffix != ".wav" or "vibrators:" in str(target)):
-            raise SmartTouchError(f"{target} is not a WAV file (such as pc.wav) or sound:")
+            raise SmartTouchError(f"{target} is neither a WAV file, such as pc.wav, nor sound:")
 
     def prepare(self, run: RunContext) -> None:
         self._output = _SoundCard() if self._target == "sound:" else _WavFile(Path(self._target))
@@ -97,7 +97,7 @@ class _WavFile(_Carrier):
 
 class _SoundCard(_Carrier):
     def __init__(self) -> None:
-        self._asked = 0.0, 0.0  # amplitude and end time, s; one tuple: both change at once
+        self._asked = 0.0, 0.0  # amplitude; end time, s; in one tuple, so that both change at once
         try:
             from sounddevice import OutputStream
 

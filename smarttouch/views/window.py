@@ -40,8 +40,8 @@ class Window(Listener):
 
     The run begins when a page is open, or after ``waits_s``. ``show`` receives the address of the
     page. With ``blind``, pages hide the stimulus. A page that sends nothing for ``lost_s`` is lost,
-    and loses control. With ``alone``, the run pauses if the page in control leaves or is lost.
-    With ``stays``, pages show the end of the run until `shut`.
+    and loses control. If ``alone`` (no terminal has keys), the run pauses when the page in control
+    leaves or is lost. With ``stays``, pages show the end of the run until `shut`.
     """
 
     def __init__(

@@ -28,8 +28,8 @@ LOST_S = 0.7  # time without a message after which a page loses control
 
 
 class Steering:
-    """Control of a run by one browser page at a time. If no page has control, a request gives a
-    page control. With ``alone``, the run pauses when the page in control leaves or is lost."""
+    """Control of a run by one browser page at a time. If no page has control, the next page that
+    sends a request gets it. If ``alone``, the run pauses when the page in control is gone."""
 
     def __init__(
         self,
@@ -265,8 +265,8 @@ class Pages:
         return True
 
     def _move(self, page: ConnectedPage, place: str) -> bool:
-        """Move the finger to the pointer if the page has control. Return False if the place is
-        invalid or the source has no pointer."""
+        """Move the finger to the mouse pointer if the page has control. Return False if the place
+        is invalid or the source does not follow the mouse pointer."""
         pointer = self._state.source.pointer
         try:
             x_mm, y_mm = map(float, place.split())
