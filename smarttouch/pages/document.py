@@ -224,7 +224,7 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
 _ABOVE, _AROUND = 0.95, 0.3  # extent of a letter above and below the baseline, in letter sizes
 _FAINT = 12  # contrast, gray levels, below which print is invisible
 _MOST_UNKNOWN = 0.05  # largest share of undefined characters in a text
-_MOSTLY = 0.5  # largest total length of lines that are only pictures, relative to text lines
+_MOSTLY = 0.5  # largest total length of lines that the text lacks, relative to the text's lines
 _ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
 _BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # a bullet in a symbol font
 
@@ -255,7 +255,7 @@ def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
         DOUBTFUL: any(line.is_doubtful for line in ordered),
         f"rotated text is left out: {stamps}": turned,
         f"text that is not visible is left out (characters: {hidden})": hidden,
-        f"print that the file's text lacks is left out (lines: {len(others)})": others,
+        f"printed lines that the file's text lacks are left out: {len(others)}": others,
     }
     said = tuple(note for note, is_so in notes.items() if is_so)
     return replace(page, lines=tuple(lines), words=tuple(texts), notes=said)

@@ -15,8 +15,8 @@ _CONTRAST = 0.12  # smallest contrast of ink, relative to paper
 _PALE = 0.2  # smallest contrast of pale print on a digital page, relative to paper
 _GRAINS = 6.0  # smallest contrast of ink, in standard deviations of the paper's grain
 _FEWEST = 2e-4  # a page with a smaller share of ink pixels is blank
-_CALM = 5.0  # paper with less grain, gray levels, has a local threshold
-_GRAINY = 9.0  # paper with more grain, gray levels, has a single threshold
+_CALM = 5.0  # paper whose gray levels vary less (standard deviation) has a local threshold
+_GRAINY = 9.0  # paper whose gray levels vary more (standard deviation) has a single threshold
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
         white = np.full_like(grey, 255)
         return Paper(white < 255, white, light_on_dark)
     window = (round(20 / factor) | 1,) * 2
-    # Average the depth of ink, weighted by depth, so that pale edges of strokes count little.
+    # Average the contrast of ink, weighted by contrast: pale edges of strokes count little.
     depth = np.where(flat <= first, np.float32(middle) - flat, np.float32(0))
     typical = np.vdot(depth, depth) / depth.sum()
     around = cv2.blur(depth * depth, window) + 0.02 * typical**2

@@ -1,5 +1,5 @@
 """Rows of letters. Connected components of ink are linked from left to right. The heights and the
-strokes of a row show whether the row is text."""
+strokes of a row show whether the row is text. Lanes are the white gaps between columns."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -138,19 +138,19 @@ _LEAST_OVERLAP = 0.45  # smallest vertical overlap of two letters of a row, rela
 _LARGEST_RATIO = 2.8  # largest ratio of heights in a row; a parenthesis is 2.5 x-heights tall
 _LEAST_SPACE = 0.35  # narrowest space between words, in letter heights
 _LANE_PX = 3.0  # lanes are searched in a reduced image with letters of this height, px
-_NARROWEST = 0.75  # smallest width of a lane (white gap between columns), in letter heights
+_NARROWEST = 0.75  # smallest width of a lane, in letter heights
 _LANES = ((1.25, 15.0), (1.9, 8.0))
 """Smallest width, in word spaces, and smallest length, in letter heights, of two kinds of lanes."""
 _LANE_REACH = 16.0  # largest distance from a lane to the print on each side, in letter heights
-_SHORT_LINES = 6.5  # largest vertical gap in the print beside a lane, in letter heights
-_LANE_GAP = 25.0  # largest interruption of a lane, in letter heights
+_SHORT_LINES = 6.5  # largest vertical gap that short lines leave beside a lane, in letter heights
+_LANE_GAP = 25.0  # a lane continues across interruptions of at most this height, in letter heights
 
 
 def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[Components]:
     """Return the letters of each row, from left to right.
 
-    Rows end at walls and at lanes. ``walls``, (H, W), is a mask of vertical rules and pictures.
-    Lanes are the white gaps between columns of ``ink``, (H, W).
+    Rows end at walls and at lanes of ``ink``, (H, W). ``walls`` is a mask, (H, W), of vertical
+    rules and pictures.
     """
     if not len(letters.area):
         return []
@@ -190,7 +190,7 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
         width = max(3, round(max(_NARROWEST * height, spaces * space)))
         lane = np.ones((round(length * height / part), width), np.uint8)
         lanes |= cv2.morphologyEx(white.view(np.uint8), cv2.MORPH_OPEN, lane) > 0
-    # A lane is interrupted where a column beside it has no print. Continue the lane there.
+    # Where a column has no print, the lane beside it has a gap. Fill the gap if it is white.
     longer = np.ones((round(_LANE_GAP * height / part) | 1, 1), np.uint8)
     within = cv2.morphologyEx(lanes.view(np.uint8), cv2.MORPH_CLOSE, longer, borderValue=0)
     wide = cv2.morphologyEx(1 - page, cv2.MORPH_OPEN, np.ones((3, width), np.uint8))
@@ -237,7 +237,7 @@ _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # candidate x-heights, in letter heights
 _NEAR = (0.1, 0.5)  # tolerance of heights: 0.1 x-heights + 0.5 px
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of ascender height and descender depth from the baseline, in x-heights."""
-_UNDECIDED = 0.3  # if a larger share of letters ends above the baseline, the baseline is raised
+_UNDECIDED = 0.3  # the baseline is raised if a larger share of letter bottoms is above it
 _STROKES = (0.75, 2.9)  # range of `Baseline.strokes` in text; usual print has 0.9 to 1.9
 _TOUCHING = 1.3  # letters touch if the median width of components is larger, in x-heights
 _ON_LEVELS = 0.65  # smallest share of letters with typical heights in a row of text
@@ -271,7 +271,7 @@ class Baseline:
 
     @property
     def is_text(self) -> bool:
-        """Whether the row has as many strokes as text, and most letters have typical heights."""
+        """Whether the number of strokes is as in text, and most letters have typical heights."""
         letters = self.letters
         # Dashes and wide spaces reduce the number of strokes.
         covered = min(1.0, float(letters.width.sum()) / (self.right - self.left))
@@ -308,7 +308,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     off = bottom - polynomial.polyval(x - left, curve)
     above = off < -_NEAR[0] * height - _NEAR[1]
     if above.mean() > _UNDECIDED:
-        # Many letters end above the curve, so the curve follows descenders: raise the curve.
+        # Many letter bottoms are above the curve, so it follows descenders: raise the curve.
         curve[0] += np.median(off[above])
     base = polynomial.polyval(x - left, curve)
     rise = base - top

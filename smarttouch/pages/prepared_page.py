@@ -150,7 +150,7 @@ def skew_of(letters: Components, height: float) -> float:
 
 _LEAST_SIDES = (2.5, 5.0)  # smallest height and width of a dark panel, in letter heights
 _LEAST_INK = 0.6  # smallest share of ink in a dark panel
-_LIGHT_LETTER = (0.5, 9.0)  # range of letter heights in a dark panel, relative to those on the page
+_LIGHT_LETTER = (0.5, 9.0)  # range of letter heights in a dark panel, in letter heights of the page
 _FEWEST_LETTERS = 4  # smallest number of letters in a dark panel
 
 
@@ -170,7 +170,7 @@ def _panels(ink: Ink, components: Components, height: float) -> Ink:
 
 
 _HOPELESS = 60  # if none of this many rows is text, the other rows are not measured
-_MISSES = 3  # for each row that is text, this many more rows are measured
+_MISSES = 3  # each row that is text raises the limit `_HOPELESS` by this many rows
 _LEAST_X_HEIGHT_PX = 3.5  # smallest x-height of readable print
 _SHORT = 11.0  # a row shorter than this, in letter heights, gets the slope of the nearest line
 
@@ -196,14 +196,14 @@ def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Base
     return _credible(ink, measured), small
 
 
-_EVEN = 0.85  # in an even line, at least this share of letters has typical heights
-_FEW = 4  # an even line with at least this many letters is certainly text
-_SIMILAR = 1.7  # largest ratio between the x-heights of a line and a line that is certainly text
+_EVEN = 0.85  # in a uniform line, at least this share of letters has typical heights
+_FEW = 4  # a uniform line with at least this many letters is certainly text
+_SIMILAR = 1.7  # a line of text has an x-height within this factor of a line that is certainly text
 _MOST_OF_ALL = 0.8  # if no line is certainly text, lines must contain this share of the page's ink
 _OWN = (-1.8, 0.6)  # top and bottom of a line relative to the baseline, in x-heights
 _AROUND = (-1.7, 0.5)  # area around a line: top and bottom from the baseline, in letter heights
-_FOREIGN = 0.1  # largest ratio of ink around a line to the line's ink, for each letter of the line
-_NEAR_FOREIGN = 0.5  # as `_FOREIGN`, for an even line (see `_EVEN`)
+_FOREIGN = 0.1  # largest ink around a line for each letter (up to `MANY`), in units of its ink
+_NEAR_FOREIGN = 0.5  # as `_FOREIGN`, for a uniform line (see `_EVEN`) of at least `_FEW` letters
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
@@ -222,7 +222,7 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
         left, right = max(0, round(line.left - size)), round(line.right + size)
         limit = _NEAR_FOREIGN if even and count >= _FEW else _FOREIGN
         area = int(line.letters.area.sum())
-        # If a line's only component lies in another line, the component belongs to a letter there.
+        # A single component that mostly lies in another line is a part of a letter of that line.
         is_part = count == 1 and 2 * np.count_nonzero(rest[line.letters.box(0)]) < area
         limit = (limit * min(count, MANY) + (count == 1)) * area
         if np.count_nonzero(rest[top:bottom, left:right]) < limit and not is_part:
@@ -302,7 +302,7 @@ def _ends(lines: list[Baseline], components: Components) -> list[tuple[float, fl
 
 
 _SAME = 0.15  # largest relative difference between x-heights of one font size
-_CAPITALS = 0.08  # largest share of letters taller than capitals in a line of capitals
+_CAPITALS = 0.08  # in a line of capitals, a smaller share of letters is much taller than the others
 _CAPITAL = 1.42  # height of a capital, in x-heights
 _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 """Plausible ranges of ascent and descent, in x-heights."""
@@ -338,7 +338,7 @@ def print_text(text: str) -> Page:
     """Print a text at 300 dpi, black on white. Return the page with its lines and their texts."""
     wrapped = [row for part in text.splitlines() for row in textwrap.wrap(part, _COLUMNS) or [""]]
     if not any(wrapped):
-        raise PageError("text: has no words: write them after the colon, as in text:Hello")
+        raise PageError("the text is empty: write words after text:, for example text:Hello")
     height_mm = 2 * _MARGIN_MM + (len(wrapped) - 1) * _STEP_MM + _LINE_MM
     require_size_mm(f"the text of {len(wrapped)} lines", _WIDTH_MM, height_mm, "shorter text")
     sheet = Image.new("L", (round(_WIDTH_MM * _PER_MM), round(height_mm * _PER_MM)), 255)

@@ -21,7 +21,7 @@ _WIDER = 8.0  # smallest mean line width of prose in a PDF file, in letter sizes
 _WIDEST = 13.0  # smallest mean line width of prose with widely spaced rows, in letter sizes
 _LOOSE = 1.5  # row distance above which rows are widely spaced, in letter sizes
 _FEWEST = 3  # with fewer rows, the widths of lines do not tell prose from tables
-_SURE = 1.15  # the order is doubtful if line width and prose limit differ by less than this factor
+_SURE = 1.15  # the order is doubtful within this factor of the smallest mean line width of prose
 DOUBTFUL = "the reading order is doubtful: words side by side may be columns, or rows of a table"
 # mark of a list item, or number of a section
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
