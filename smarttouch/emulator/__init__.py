@@ -1,1 +1,1 @@
-"""Emulators of sensors, and of boards on a model of the skin, at a pseudo-terminal or TCP port."""
+"""Emulators at a pseudo-terminal or TCP port: sensors, and boards that drive a model of skin."""

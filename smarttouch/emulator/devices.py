@@ -145,12 +145,12 @@ class Server:
         self._waiting = b""  # bytes that the line has not accepted yet
 
     def serve(self, linger_s: float, instructions: str = "") -> None:
-        """Print instructions or the port's name; run until SIGTERM or ``linger_s`` without a host.
+        """Print ``instructions``, or the port's name if they are empty. Run until SIGTERM, or until
+        no host has been connected for ``linger_s``.
 
-        With an infinite ``linger_s``, Ctrl-C ends the device. With a finite ``linger_s``, Ctrl-C is
-        meant for the host: the device ignores Ctrl-C while a host is connected. SIGHUP then ends
-        the device as soon as no host is connected.
-        """
+        If ``linger_s`` is infinite, Ctrl-C ends the device. Otherwise Ctrl-C is for the host: the
+        device ignores Ctrl-C while a host is connected. After SIGHUP, the device ends as soon as no
+        host is connected."""
         ended, host_ns = False, _FIRST_HOST_S * 1e9
 
         def end(number: int, _frame: FrameType | None) -> None:
@@ -164,7 +164,7 @@ class Server:
             signal.signal(number, end)
         books = self._firmware.books
         books.write()
-        # Print only after setting the handlers: the reader of the name may send a signal.
+        # Set the handlers first: a program that reads the name may send a signal at once.
         print(instructions or self._line.name, flush=True)
         clock = DeviceClock(self._firmware.longest_step_ns)
         written_ns = 0

@@ -35,7 +35,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 _HEARTBEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest pause between packets of the host
 _STEP_NS = 20_000  # while the host waits for an answer, simulated time advances in these steps
 _LONGEST_GAP_NS = 1000 * (link_rules.KEPT_US + link_rules.SECOND_US)
-"""Longest simulated pause between sequences: longer pauses are shortened to this. After this pause,
+"""Longest simulated pause between sequences. A longer pause would change nothing: after this one,
 the ramp has restarted, and the limits per second count no earlier pulse."""
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
@@ -202,7 +202,7 @@ class MemoryDriver(Driver):
 
 _STARTS_WITHIN_S = 30.0  # time limit for the start of the process, which busy computers delay
 _ENDS_WITHIN_S = 3.0
-_FIRST_HOST_S = 5.0  # an older process without a host is not used: it ends after 8 s
+_FIRST_HOST_S = 5.0  # a process that waits longer for its first host is not used: it ends after 8 s
 _ANSWERS_WITHIN_S = 5.0  # longest silence of the board, because a busy computer delays the emulator
 
 
@@ -221,7 +221,8 @@ class EmulatorDriver(LinkDriver):
         refuse_rest("emulator:", rest, BoardError)
         if not HAS_POSIX:
             raise BoardError(
-                "emulator: needs a pseudo-terminal, as on Linux and macOS: use simulated: instead"
+                "an emulated board (emulator:) needs a pseudo-terminal, as on Linux and macOS: "
+                "use a simulated board (simulated:)"
             )
         super().__init__("emulator", limits, output)
         self.port = None

@@ -18,7 +18,7 @@ from smarttouch.emulator.skin import Delivered, EmulatedFinger, SkinCircuit
 STATE_FILE = "state.json"
 DELIVERED_FILE = "delivered.bin"
 SAFE_PULSE, SAFE_RECHARGE = (5000, 200, 0.5), (500, 20_000, 2.0)
-"""Largest safe current, µA, duration, µs, and charge, µC, of a pulse and of a recharge phase.
+"""Largest safe values of a pulse and of a recharge phase: current, µA; duration, µs; charge, µC.
 These values are independent of the limits that the firmware checks."""
 RECHARGE = 0xFFFF  # slot number and site that mark a recharge phase
 _ROUNDING = 1 + 1e-6
@@ -27,7 +27,7 @@ _FLOWS_UA = 0.5
 
 @dataclass
 class DeliveryLog:
-    """Counters and maxima of delivered pulses. If ``folder`` is given, write them there, too."""
+    """Counts and largest values of delivered pulses. `write` saves them in ``folder``, if given."""
 
     electrodes: int
     folder: Path | None = None

@@ -2,9 +2,9 @@
 
 The firmware checks nothing, waits forever for the rest of an incomplete packet, and its readings
 wrap around. From power-on until the first STIMULATE, it tests its current source without driving an
-electrode, and answers MEASURE. A STIMULATE of zeros causes no pulse. The D/A converter keeps the
-last value of the test until the first pulse. If STIMULATE causes this pulse, it begins with the
-kept value, until the converter has loaded the value of the pulse.
+electrode; meanwhile it answers MEASURE. A STIMULATE of zeros causes no pulse. The D/A converter
+keeps the last value of the test until the next pulse. If STIMULATE causes this pulse, the pulse
+begins with the kept value, until the converter has loaded the right one.
 """
 
 from collections import deque
@@ -144,7 +144,7 @@ class Kajimoto61Firmware(KitFirmware):
             self.books.sequences += 1
 
     def _connect_early(self, scan: _Scan, electrode: int, start_ns: int) -> int:
-        """Deliver the self-test current that the converter keeps; return its duration, ns."""
+        """Deliver the self-test current that the converter keeps. Return how long it flows, ns."""
         self._pulse(
             scan.number, electrode, -self._loaded_ua, LOADING_US, start_ns, among=ELECTRODES,
             rest_us=0, grounded=False, more=True,

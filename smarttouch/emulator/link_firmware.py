@@ -73,7 +73,7 @@ class LinkFirmware(Firmware):
     ) -> None:
         self._electrodes = electrodes = books.electrodes
         self._output, self.books = output, books
-        # With more electrodes, checks take longer: `DeviceClock` must not skip this time.
+        # Checks of many electrodes take long: meanwhile `DeviceClock` must not stand still.
         self.longest_step_ns += 10_000 * electrodes
         self._room = room = room or Room()
         self._rules = LinkRules(electrodes, output, room, ramp_ms)

@@ -121,8 +121,8 @@ class BoardSession:
     def _refusal_of(self, message: Message, began_ns: int) -> Refusal | None:
         if message.version != VERSION or not self.number or message.session != self.number:
             return Refusal.FOREIGN
-        # A packet is late if the host has received nothing newer than a stale ALIVE. An ALIVE is
-        # stale if it was sent over `LATE_MS` before this packet began.
+        # A packet is late if the newest packet that it confirms is not newer than a stale ALIVE.
+        # An ALIVE is stale if the board sent it more than `LATE_MS` before this packet began.
         stale = (number for sent_ns, number in self._alive if sent_ns < began_ns - LATE_MS * _MS)
         # STOP is never late: it must work even if the host receives nothing.
         late = message.kind != MessageKind.STOP and message.heard <= max(stale, default=-1)
@@ -231,7 +231,7 @@ def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8
 
 def rounded(sums: NDArray[np.int64]) -> NDArray[np.int64]:
     """Convert sums of scaled kernels, (…, E), to whole µA, so that all currents sum to zero."""
-    # Round the cumulative sums. The last one stays 0, so their differences sum to 0.
+    # Round the cumulative sums. The last one stays 0, so their differences add up to 0.
     return np.diff((np.cumsum(sums, axis=-1) + 65_536) >> 17, axis=-1, prepend=0)
 
 

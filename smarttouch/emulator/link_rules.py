@@ -41,7 +41,7 @@ SECOND_US = 1_000_000
 MOST_CHARGE_PC = 500_000_000
 MOST_NET_PC = 50_000_000
 RAMP_MS = 500  # shortest time from zero to full intensity
-CATCH_UP_US = 150_000  # a sequence may be ahead of the ramp by this time: packets can be late
+CATCH_UP_US = 150_000  # strength may exceed the ramp by its rise in this time: packets can be late
 KEPT_US = 15_000_000  # time without current after which the ramp restarts
 _LEEWAY = 2  # tolerance for the rounding of an intensity, in units of 1/65,535
 
@@ -63,7 +63,7 @@ class BrokenRule(NamedTuple):
 def first_above(
     rule: Rule, value: NDArray[np.int64] | int, allowed: Any, slot: int = NOTHING
 ) -> BrokenRule | None:
-    """Return the violation by the first value that is above the allowed one, or None."""
+    """Return a violation for the first value that exceeds its allowed value, or None."""
     values, allowed_each = np.broadcast_arrays(np.atleast_1d(value), allowed)
     if not len(over := np.flatnonzero(values > allowed_each)):
         return None
@@ -76,15 +76,15 @@ class Load(NamedTuple):
     """Counts, charges, peaks and durations of one pass of a sequence, or of parts of a scan."""
 
     each: NDArray[np.int64]
-    """(3, E): for each electrode, the number of perceptible pulses, absolute charge, pC, and net
-    charge, pC, positive cathodic. Charges include the recharge phase."""
+    """(3, E): number of perceptible pulses; absolute charge, pC; net charge, pC (cathodic is
+    positive). Charges include the recharge phase."""
     peak_ua: int  # largest current of a pulse
     peak_pc: int  # largest charge of a pulse
     busy_us: int  # duration of all slots and the recharge phase
     pulses_us: int  # duration of all pulses and the recharge phase, without discharge
 
     def after(self, before: "Load") -> "Load":
-        """Return the total of this load and an earlier one; of each peak, take the larger one."""
+        """Return the sum of this load and ``before``, with the larger value of each peak."""
         return Load(
             before.each + self.each, max(before.peak_ua, self.peak_ua),
             max(before.peak_pc, self.peak_pc), before.busy_us + self.busy_us,
@@ -133,9 +133,9 @@ class SessionLimits:
         )  # fmt: skip
 
     def strength(self, intensity: int, peak_pc: int) -> int:
-        """Return the strength of a sequence, which the ramp limits. ``share`` is ``peak_pc``
-        relative to the charge of a full pulse. The strength is the intensity, but at least
-        ``share``, and at most `STRENGTH` times ``share``. It never exceeds `FULL`."""
+        """Return the strength of a sequence, the quantity that the ramp limits. The strength is the
+        intensity, limited to the range from ``share`` to `STRENGTH` times ``share``, and to `FULL`.
+        ``share`` is ``peak_pc`` relative to the charge of a full pulse."""
         share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
         return min(FULL, max(share, min(intensity, STRENGTH * share)))
 
@@ -232,8 +232,8 @@ class LastSecond:
 
 
 def _most_net(window: NDArray[np.int64], net_pc: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the largest absolute net charge of each electrode, (E,). The net charges are
-    ``net_pc`` plus those of the latest k passes, for k = 0, 1, 2 and so on."""
+    """Return, for each electrode, the largest absolute sum of ``net_pc`` and the net charges of the
+    latest k passes, over all k from 0, (E,)."""
     runs = np.cumsum([net_pc, *window[:, 2]], axis=0)
     return np.asarray(np.abs(runs).max(axis=0))
 
@@ -249,7 +249,7 @@ class Ramp:
         self.restart(ramp_ms)
 
     def restart(self, ramp_ms: int) -> None:
-        """Restart at zero intensity. Use the longer ramp time, ``ramp_ms`` or the constructor's."""
+        """Restart at zero intensity, with the longer of ``ramp_ms`` and the constructor's time."""
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
         self._level = self._strength = self._since_us = self._span_us = 0
 
@@ -326,7 +326,7 @@ class LinkRules:
 
     def check(self, sequence: ReceivedSequence, start_us: int, real_us: int) -> BrokenRule | Load:
         """Compute the currents of kernels. Return the first violation, or the load of one pass. The
-        first pass begins at ``start_us``, or ``real_us`` by a clock that never stands still."""
+        first pass begins at ``start_us``; a clock that never stands still shows ``real_us``."""
         scan, limits = self._scan, self.limits
         if not sequence.goes_on:
             scan = _Scan(sequence, real_us, copy(self._ramp), self._none)

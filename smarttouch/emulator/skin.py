@@ -6,7 +6,7 @@ with a capacitance C_p. All electrodes meet in one node, the tissue::
     output ── R_s ──┬─ R_p ─┬── tissue
                     └─ C_p ─┘
 
-Currents and voltages are positive cathodic; voltages of electrodes are relative to the tissue.
+Cathodic currents and voltages are positive. Voltages of electrodes are relative to the tissue.
 
 An event of the finger is a text that begins with a time in seconds::
 
@@ -43,9 +43,9 @@ COMPLIANCE_V = 300.0
 _CONSTANT = (1, 1.0, 1.0)
 _SHARED = (6, 1.3, 0.6)
 _CAPPED = (24, 1.15, 1.0)
-"""Time steps of a pulse: number of steps; length of each step relative to the step before; instant
-of a step for which the current is computed (0: its start, 1: its end). Fine steps change results by
-at most 3 %."""
+"""Time steps of a pulse: their number; the length of each relative to the step before; the instant
+of a step for which the current is computed, from 0 (its start) to 1 (its end). Finer steps change
+results by at most 3 %."""
 _SHORT_STEPS, _SHORT_GROWTH = 3, 3.0
 """Time steps of a discharge: number of steps; length of each step relative to the step before. If
 electrodes differ by up to 15 %, the error is below 1 % of the initial charge."""
@@ -57,18 +57,17 @@ _MOST_WIDTHS = 64
 class Delivered:
     """Delivered current and charge of one pulse, and voltages at its end."""
 
-    current_ua: NDArray[np.float64]  # (E,): mean over the pulse, positive cathodic
+    current_ua: NDArray[np.float64]  # (E,): mean over the pulse
     charge_pc: NDArray[np.float64]
-    # (E,): electrodes against tissue at the end of the pulse, positive cathodic
-    volts: NDArray[np.float64]
+    volts: NDArray[np.float64]  # (E,): voltage of each electrode at the end of the pulse
     source_v: float  # voltage between the poles of the source at the end of the pulse
 
 
 class _Steps(NamedTuple):
     """The K time steps of a pulse. Arrays are (K,) or (K, E). During a step, the current I of an
-    electrode is constant. It changes the voltage v of the electrode's capacitor to v·decay +
-    I·rise_ohm. I is solved at one instant of the step. At this instant, the voltage of the
-    electrode is v·late + I/admittance. A last step of length 0 gives I at the end of the pulse."""
+    electrode is constant. It changes the capacitor's voltage from v to v·decay + I·rise_ohm. I is
+    calculated for one instant of the step, when the electrode's voltage is v·late + I/admittance.
+    The last step has length 0: its I is the current at the end of the pulse."""
 
     length_s: NDArray[np.float64]
     decay: NDArray[np.float64]
@@ -106,8 +105,8 @@ class SkinCircuit:
         return np.asarray(1e6 * self.capacitance_f * self._volts)
 
     def pulse(self, current_ua: NDArray[np.float64], width_us: float) -> Delivered:
-        """Drive each electrode by its own source, (E,), for ``width_us``. The compliance voltage
-        limits currents. If anodic and cathodic sums differ, the larger currents are scaled down."""
+        """Drive each electrode with its own current, (E,), for ``width_us``. The compliance voltage
+        limits currents. If the anodic and cathodic sums differ, the larger sum is scaled down."""
         asked_ua = _balance(np.asarray(current_ua, np.float64))
         amps = asked_ua * 1e-6
         steps = self._steps_of(width_us, *_CONSTANT)
@@ -188,7 +187,7 @@ class SkinCircuit:
         charge."""
         if duration_us < 1e-6:
             return
-        # `_LONGEST_SHORT_US` is many time constants, so the remaining charge is negligible.
+        # `_LONGEST_SHORT_US` is many time constants: the charge that remains is negligible.
         level, steps = self._shorts_of(min(duration_us, _LONGEST_SHORT_US))
         for lost, weights in steps:
             self._volts = self._volts + lost * (level * (weights @ self._volts) - self._volts)
@@ -196,10 +195,10 @@ class SkinCircuit:
     def _find_shorts(
         self, duration_us: float
     ) -> tuple[NDArray[np.float64], list[tuple[NDArray[np.float64], NDArray[np.float64]]]]:
-        """Return ``level`` and, for each step, ``lost`` and ``weights``. Capacitors approach
-        ``level`` times the voltage of the node. A step removes the fraction ``lost`` of the
-        difference. The voltage of the node is the sum of ``weights`` times the capacitor
-        voltages."""
+        """Return ``level``, (E,), and for each step ``lost``, (E,), and ``weights``, (E,). In a
+        step, the node's voltage is the sum of the capacitor voltages, weighted with ``weights``.
+        Each capacitor approaches ``level`` times this voltage: the step removes the fraction
+        ``lost`` of the difference."""
         series = 1 / self.series_ohm
         rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
         level = series / (rate * self.capacitance_f)
