@@ -17,7 +17,7 @@ from smarttouch.profile import Optics, Profile
 from smarttouch.sources.source_contract import Pose
 
 DEAD_SHARE = 0.25  # a pixel is dead if its response to light is below this share of the median
-HOT_LEVELS = 24.0  # a pixel is hot if its dark level is above the median by this, gray levels
+HOT_LEVELS = 24.0  # a pixel is hot if its dark level is this many gray levels above the median
 LEAST_SPAN = 40.0  # smallest difference between the gray levels of white paper and darkness
 SATURATED = 254.0
 MOST_SATURATED = 0.01
@@ -25,10 +25,8 @@ MOST_BROKEN = 0.02  # largest accepted share of dead or hot pixels
 
 
 class FlatField:
-    """Dark level and gain of each pixel, (H, W) float32.
-
-    The gain of dead and hot pixels is 0; they are replaced by the median of their neighbors.
-    """
+    """Dark level and gain of each pixel, (H, W) float32. The gain of dead and hot pixels is 0;
+    these pixels get the median of their neighbors."""
 
     def __init__(self, dark: NDArray[np.float32], gain: NDArray[np.float32]) -> None:
         fits = dark.ndim == 2 and dark.shape == gain.shape and gain.any()
@@ -66,10 +64,8 @@ class FlatField:
     def measure(
         cls, dark_images: Sequence[NDArray[np.uint8]], white_images: Sequence[NDArray[np.uint8]]
     ) -> Self:
-        """Compute the flat field from images in the dark and images of blank white paper.
-
-        The correction does not change the median level of white paper.
-        """
+        """Compute the flat field from images in the dark and images of blank white paper. The
+        correction does not change the median level of white paper."""
         dark, white = mean_image(dark_images), mean_image(white_images)
         if dark.shape != white.shape:
             raise CalibrationError(
@@ -146,8 +142,8 @@ FINER = 2
 """Factor by which `Matcher` enlarges images, unless a side would exceed `MOST_PIXELS`. Without
 this enlargement, sensors of 16 x 16 pixels lose 80 % of the accuracy."""
 LEAST_SLOPE = 6.0
-"""A direction has no visible print if its mean squared gradient, (levels/pixel)², is below this.
-Noise of 2 levels and uneven light cause about 1.5."""
+"""No shift can be seen along a direction if the mean squared gradient along it, (levels/pixel)², is
+below this. Noise of 2 levels and uneven light alone cause about 1.5."""
 MOST_UNEXPLAINED = 0.25  # a valid shift leaves at most this share of the variance unexplained
 _STEPS = 6
 _CLOSE = 0.02  # the iteration has converged if a step is below this, pixels
@@ -223,8 +219,9 @@ class Matcher:
         return float(x), float(y)
 
     def _slopes(self, common: Common) -> tuple[Floats, Image]:
-        """Return the K directions in which a shift is visible, (K, 2). Also return derivatives of
-        gray levels, (K + 3, N): by a shift in each direction, and by 3 patterns of light."""
+        """Return two arrays. The first has the K directions in which a shift is visible, (K, 2).
+        The second has derivatives of the gray levels of N pixels, (K + 3, N): by the shift in each
+        direction, and by the strength of each of 3 patterns of light."""
         along_x, along_y = (
             np.asarray(cv2.Sobel(self._before, cv2.CV_32F, *way, ksize=3, scale=1 / 8)[common])
             for way in ((1, 0), (0, 1))
@@ -239,7 +236,7 @@ class Matcher:
         return steep, (slopes - slopes.mean(axis=1, keepdims=True)).astype(np.float32)
 
     def _rest(self, shift: Floats, common: Common) -> tuple[Image, float]:
-        """Undo a shift. Return the remaining difference of the images, (N,) levels with mean 0.
+        """Undo a shift. Return the remaining difference of the images, (N,) levels, less its mean.
         Also return the variance of this difference, relative to the variance of the images."""
         to_now = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
         undone = cv2.warpAffine(
@@ -253,8 +250,9 @@ class Matcher:
         return rest, float(rest @ rest) / rest.size / (contrast + _NOISE)
 
     def _begin(self) -> Shift | None:
-        """Return the shift at which iteration starts: the last shift, zero or
-        `_largest_covariance`, by the highest correlation. None if no correlation is positive."""
+        """Return the shift at which iteration starts. Of the last shift, zero and the result of
+        `_largest_covariance`, it is the one with the highest correlation. Return None if no
+        correlation is positive."""
         far = _largest_covariance(self._before, self._image)
         best = max((self._correlation(by), by) for by in {far, self._last_shift, (0.0, 0.0)})
         return best[1] if best[0] > 0 else None
@@ -272,8 +270,8 @@ class Matcher:
         return float(correlation[0, 0])
 
     def _common(self, shift: Shift, border: int = 0) -> Common | None:
-        """Return the rows and columns in which the last image overlaps this one, inside a border.
-        Return None if the overlap is too small."""
+        """Return the rows and columns of the last image that this image also shows, less ``border``
+        pixels at each side. Return None if the overlap is too small."""
         slices = []
         for side, by in zip(self.shape, map(round, shift[::-1]), strict=True):
             start, stop = border + max(0, -by), side - border - max(0, by)
@@ -285,7 +283,7 @@ class Matcher:
 
 
 def _largest_covariance(before: Image, now: Image) -> Shift:
-    """Return the shift with the largest covariance, in pixels; search on images of half size."""
+    """Return the shift, in pixels of ``now``, with the largest covariance; search at half size."""
     rows, columns = (side // _COARSER for side in before.shape)
     first, second = (
         np.asarray(cv2.resize(levels, (columns, rows), interpolation=cv2.INTER_AREA), np.float32)

@@ -259,7 +259,8 @@ Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]  # accepted by `
 
 
 class Images(OpticalSource):
-    """Source of Python images, one for each read. Arrays get the force for full intensity."""
+    """Source of images from Python, one for each read. An image that is not a `Frame` gets the
+    force for full intensity."""
 
     frames: int
     knows_force = True

@@ -55,7 +55,7 @@ def sample_force(source: ForceSource, seconds: float) -> list[tuple[str, str]]:
 
 
 def _ticks(seconds: float) -> Iterator[int]:
-    """Yield the time of each read since the first, ns; wait until the read is due."""
+    """Wait until each read is due, then yield its time since the first read, ns."""
     yield 0
     start_ns = time.perf_counter_ns()
     for count in range(1, round(seconds * READ_HZ) + 1):

@@ -32,7 +32,7 @@ SUFFIXES = (
 )  # fmt: skip
 _FEWEST_PIXELS = 2
 _MOST_PIXELS = 80_000_000
-MOST_DECODED = 8  # an image that is late by this number of images is skipped without decoding
+MOST_DECODED = 8  # an image that is late by at least this number of images is not decoded
 _MISSING = 0.05  # accepted share of missing frames, because counts in files are inexact
 _TEXT = cv2.VideoWriter.fourcc(*"ansi")
 # Suppress messages of FFmpeg, which reads this variable when the process opens its first video.

@@ -52,7 +52,8 @@ def reading_path(
     """Return a path along the lines of a page, or along parallel strips if it has no lines."""
     require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
     field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
-    # Detect light print, too: otherwise the path would follow the dark gaps between its lines.
+    # Detect light print even if the user has not declared it: otherwise the path would follow the
+    # dark gaps between its lines.
     lines = find_lines(page, light_on_dark or None) or [_printed(page, light_on_dark)]
     sweeps = tuple(sweep for line in lines for sweep in _sweeps(line, field[1]))
     rows: list[tuple[float, float, float, float, float]] = []
@@ -348,7 +349,7 @@ class PageSource(OpticalSource):
 
 
 def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, int]:
-    """Return the page blurred by the optics, its scale, mm per pixel, and its margin, pixels."""
+    """Return the page as the optics blur it, its scale (mm per pixel) and its margin (pixels)."""
     height, width = page.grey.shape
     scale = page.mm_per_pixel / finest_mm
     scale = min(scale, np.sqrt(_MOST_PIXELS / (height * width)))
