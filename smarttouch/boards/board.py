@@ -564,8 +564,8 @@ class Board:
         -------
         (int, int) or None
             Start by `clock`, ns, and by the board's clock, µs since the board was switched on. The
-            time by `clock` is late by the shortest delay of the line. None if the board has not
-            reported this start, or has reported many later starts.
+            value by `clock` is later than the true start, by the shortest delay of the line. None
+            if the board has not reported this start, or has reported many later starts.
         """
         return self._starts.get(number)
 

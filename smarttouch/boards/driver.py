@@ -396,7 +396,7 @@ class Line:
             )
 
     def has_newer(self) -> bool:
-        """Return whether a newer sequence is waiting; if so, skip the remaining passes."""
+        """Return whether a newer sequence is waiting. If so, drivers skip the remaining passes."""
         return self.board._waiting is not None
 
     def lost(self, what: str) -> LineLostError:
@@ -406,7 +406,7 @@ class Line:
         if can is not None and not getattr(self._port, "at_zero", False):
             then = "; it repeats its last pattern: lift the finger, then switch the board off"
             if can.time_to_zero_ms is not None:
-                then = f"; it shorts all electrodes within {can.time_to_zero_ms:g} ms of silence"
+                then = f"; it goes to zero {can.time_to_zero_ms:g} ms after the host's last byte"
         return LineLostError(f"the board at {self.name} {what}{then}")
 
     def late(self) -> SequenceLateError:

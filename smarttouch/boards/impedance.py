@@ -70,8 +70,8 @@ def measure_by_probes(
 
 
 def _from_pairs(probe: ScanSequence, volts: Array, compliance_v: float) -> Impedance:
-    """Return impedances from the voltages of electrode pairs, by least squares. The voltage of a
-    conducting pair is I (Zᵢ + Zⱼ). An electrode without a conducting pair is open."""
+    """Return the impedance of each electrode, by least squares. The voltage of a conducting pair of
+    electrodes is I (Zᵢ + Zⱼ). An electrode without a conducting pair counts as open."""
     level_ua = int(probe.current_ua.max(initial=0))
     conducts = volts < SATURATED * compliance_v
     pairs = (probe.current_ua[conducts] != 0).astype(np.float64)

@@ -60,9 +60,9 @@ class Capabilities:
         """Return the capabilities as names and values, for display."""
         silence = "repeats its last pattern forever: lift the finger before you unplug the board"
         if self.time_to_zero_ms is not None:
-            silence = f"zero {self.time_to_zero_ms:g} ms after the host's last byte"
+            silence = f"at zero {self.time_to_zero_ms:g} ms after the host's last byte"
         if self.kept_ms is not None:
-            kept = f"zero {self.kept_ms:g} ms after the program ends or hangs"
+            kept = f"at zero {self.kept_ms:g} ms after the program ends or hangs"
             silence = f"{kept}; without the watchdog {silence}"
         names = ("acknowledgments", "voltages", "finger force")
         reported = compress(names, (self.acknowledges, self.measures, self.force))
@@ -158,7 +158,7 @@ def find_latch(device: str | None) -> str | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        return f"an unknown date: its record cannot be read ({error})"
+        return f"an unknown date: the record of the fault cannot be read ({error})"
 
 
 def clear_latch(device: str | None) -> str | None:

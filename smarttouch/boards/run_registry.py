@@ -120,8 +120,8 @@ class _Run:
             return Answer(f"{name} did not answer: switch the board off")
         if self.host not in ("", socket.gethostname()):
             return Answer(f"1 run is on host {self.host}: stop it there")
-        # The entry is invalid, from an earlier boot, or from a container. Remove its files: if the
-        # run still exists, `_watch` notices this and ends the run.
+        # The entry is invalid, or it comes from an earlier boot or a container. Remove its files.
+        # If the run still exists, its `_watch` notices the missing files and ends the run.
         self.remove("json", "lock", "stop")
         return Answer(f"{name} did not answer: if it still drives a board, switch the board off")
 
@@ -151,9 +151,9 @@ class RunEntry:
         return os.path.lexists(self._stop_file)
 
     def declare(self, current_ua: int, most_ua: int = 0) -> int:
-        """Record the current of this process, µA, and return the sum over all processes. If the sum
-        exceeds ``most_ua``, record nothing. If the current is not larger than before, record and
-        return it without a check."""
+        """Record the current of this process, µA, and return the sum of the currents of all
+        processes. If the sum exceeds ``most_ua``, record nothing. If the current is not larger than
+        the recorded one, record it without a check, and return this current, not the sum."""
         if current_ua <= self._run.current_ua:
             self._announce(current_ua)
             return current_ua

@@ -29,13 +29,13 @@ ENDS_WITHIN_S = 5.0  # time for a command to end after its boards are at zero
 
 @dataclass(eq=False)
 class Command:
-    """Running command of the command line.
+    """A ``smarttouch`` command of this process.
 
-    If ``orderly``, the command ends by itself after a request to ``stop``. Otherwise a signal
-    raises `RunStopped`. If ending takes longer than ``patience_s``, ``give_up`` is called.
+    If ``orderly``, the command ends by itself when ``stop`` asks it to. Otherwise a signal raises
+    `RunStopped`. If ending takes longer than ``patience_s``, ``give_up`` is called.
     """
 
-    give_up: Callable[[int], None]  # ends the process, with the number of the signal
+    give_up: Callable[[int], None]  # ends the process; the argument is the number of the signal
     stop: StopRequest = field(default_factory=StopRequest)
     orderly: bool = False
     patience_s: float = ENDS_WITHIN_S
@@ -79,7 +79,7 @@ class _Process:
         try:
             if self.entry is None and not self.reason:
                 self.entry = RunEntry(self._stop_requested)
-            # Check for a stop only after registering: an earlier stop did not find this entry.
+            # Register first, then check: a stop before the registration did not find this entry.
             if self.reason or self.entry is None or self.entry.is_asked or stopped_since_start():
                 raise BoardStoppedError(
                     f"this program was stopped by {self.reason or 'smarttouch stop'}, and can "
@@ -171,7 +171,7 @@ class _Signals:
         self._set_wakeup(self._wakes.fileno())
         self._before: dict[int, Any] = {}
         for number in SIGNALS:
-            # Keep the program's own handlers, and signals that it ignores.
+            # Do not replace the program's own handlers. Signals that it ignores stay ignored.
             if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                 self._before[number] = signal.signal(number, self._handle)
         threading.Thread(target=self._work, name="signals", daemon=True).start()
@@ -212,7 +212,7 @@ class _Signals:
         first, self.number = not self.number, self.number or number
         if not self._set_wakeup(self._wakes.fileno()):
             self._wakes.send(bytes([number]))
-        # Without a command, the first signal lets a run end by itself; the second interrupts it.
+        # Without a command, the first signal only asks a run to end; the second interrupts the run.
         orderly = self._command.orderly if self._command else _process.in_run and first
         if not orderly:
             self.end_main_thread()
@@ -297,9 +297,9 @@ def running_command(give_up: Callable[[int], None]) -> Iterator[Command]:
 
 @contextmanager
 def stoppable_run(stop: StopRequest, board: "Board") -> Iterator[Callable[[], None]]:
-    """Register a run during the ``with`` block. In the main thread, a signal raises RunStopped or
-    KeyboardInterrupt in the block at once. After a call of the yielded function, a signal raises
-    the exception only at the end of the block."""
+    """Register a run during the ``with`` block and yield a function. If the run is in the main
+    thread, a signal raises RunStopped or KeyboardInterrupt in the block at once. After a call of
+    the function, the first signal raises the exception only at the end of the block."""
     if not board.announced:
         yield lambda: None
         return

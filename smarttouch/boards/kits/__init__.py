@@ -1,6 +1,6 @@
-"""Common parts of published kits: their current scale, and sequences for a single source.
+"""Common parts of published kits: the current of one count, and sequences for a single source.
 
-A measured scale may differ from the nominal one by 30 %. This tolerance covers the differences
+A measured current may differ from the nominal one by 30 %. This tolerance covers the differences
 between boards of one kind. It is small enough to detect a different board of the family (a factor
 of 1.77 or more), a peak-to-peak value (2) and a wrong unit (1,000).
 """
@@ -18,8 +18,8 @@ BOOT_S = 1.0  # time to boot: kits reset when their port is opened
 
 
 def require_kit(kind: str, port: str, output: Output | None, profile: str) -> float:
-    """Return the current scale of a kit, µA per count. Raises BoardError without a port or with an
-    unsuitable profile."""
+    """Return the current of one count of a kit, µA. Raises BoardError if the port is missing or the
+    profile is unsuitable."""
     if not port:
         raise BoardError(f"{kind}: needs a port, for example {kind}:/dev/ttyUSB0")
     if output is not None and output.kind != "one-against-all":
@@ -38,9 +38,9 @@ def steps_of(
     kind: str, scale_ua: float, limits: SafetyLimits, width_us: float, level_ua: NDArray[np.int64],
     electrode: NDArray[np.intp], counts: int = 1,
 ) -> NDArray[np.int64]:  # fmt: skip
-    """Convert the current of each slot, (S,) µA, to integer steps of ``counts`` counts each. The
-    result keeps the limits of current and charge with the measured scale ``scale_ua`` and with the
-    nominal scale."""
+    """Convert the current of each slot, (S,) µA, to a whole number of steps of ``counts`` counts.
+    The result keeps the limits of current and charge if a count has its measured current,
+    ``scale_ua``, and if it has its nominal current."""
     most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
     # Without 1e-9, a rounding error could reduce a limit of exactly n steps to n - 1 steps.
     most = np.floor(most_ua / (counts * max(scale_ua, NOMINAL_UA[kind])) + 1e-9)[electrode]

@@ -107,7 +107,7 @@ class ScanLock:
         spans = [Span(max(s.early, bracket.early), min(s.late, bracket.late)) for s in scans]
         possible = [span for span in spans if span.early <= span.late]
         if len(possible) <= 1:
-            # If no scan fits the bracket, the board was restarted or paused.
+            # If no scan can have started in the bracket, the board was restarted or paused.
             self.last = possible[0] if possible else None
 
     def check(self, time_ns: int) -> None:
@@ -388,15 +388,15 @@ class ETactileKitDriver(Driver):
         asked_ns, then = before
         rises, falls = (then < LOW) & (now >= HIGH), (then >= HIGH) & (now < LOW)
         if (rises | falls).any():
-            # Assume the shortest slot: no pulse, and a discharge `SHORTEST_US` shorter than set.
+            # Assume the shortest slot: no pulse, and the set discharge less `SHORTEST_US`.
             rest_us = max(0, settings.discharge_us - wire.SHORTEST_US)
             if self._firmware == "71adee2":
-                # This firmware answers no query during a scan, so the complete scan has passed.
+                # This firmware answers only between scans. It has answered, so the scan is over.
                 slots, early_ns = self._outputs, asked_ns
                 rest_us += settings.width_us if rises.any() else wire.SHORTEST_US
             else:
-                # The slot whose reading changed took place between the two queries. Its scan
-                # started ``slots`` slots earlier.
+                # A reading changed, so its slot was between the two queries. The scan started
+                # ``slots`` slots before this slot.
                 slots = int((rises | falls).argmax())
                 early_ns = asked_ns - 1000 * slots * settings.scan_us(1, 25)
             self._lock.learn(Span(early_ns, span.late - 1000 * slots * rest_us))
@@ -480,7 +480,7 @@ class ETactileKitDriver(Driver):
             if pulsed.any():
                 least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
             elif level_ua >= self._seen_ua and (readings < LOW).all():
-                # Earlier, weaker pulses changed the readings. These did not, so no scan took place.
+                # Weaker or equal pulses raised readings before. These did not: no scan took place.
                 self._lock.last, least = None, 0
             if least:
                 volts, lifted = (readings * VOLTS_PER_COUNT).astype(np.float32), None

@@ -12,13 +12,13 @@ On the wire (native USB, or TCP port 8080; little endian, no framing, no checksu
 This is the protocol of commit 71adee2 and later. Older firmware has no F4 and one height for all
 electrodes (FB); its FE N×u8 selects electrodes. Such boards are set to zero and rejected.
 
-If a byte of FE is lost, the next byte on the wire completes the pattern. Heights are then shifted
-by eight bits, and currents can reach 41 mA. Therefore the driver stops pulses before each change,
-sends a query after the change, and restarts pulses only after the answer. If a byte is lost, the
-board reads the query as data. Then there is no answer and no pulse, and the driver resets the
-parser. The driver avoids numbers with bytes that look like commands. Zeros follow each 16-bit
-number, so that a lost byte only makes it smaller. Doubled bytes are not detected, but do not occur
-on USB and TCP.
+If a byte of the heights after FE is lost, the next byte on the wire takes its place. The later
+heights are then shifted by eight bits, and currents can reach 41 mA. Therefore the driver stops
+pulses before each change, sends a query after the change, and restarts pulses only after the
+answer. If a byte is lost, the board reads the query as data. Then there is no answer and no pulse,
+and the driver resets the parser. The driver avoids numbers with bytes that look like commands.
+Zeros follow each 16-bit number: if one of its bytes is lost, a zero becomes the high byte, so the
+number only becomes smaller. Doubled bytes are not detected, but do not occur on USB and TCP.
 """
 
 import contextlib
@@ -92,8 +92,8 @@ AT_REST = (
     b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
 )  # fmt: skip
 """Commands that set any published firmware to zero. They set no electrodes, no sense pulses, zero
-height (mode 0 in newer firmware), the shortest pulses and 10 scans per second. Other known boards
-do not take these bytes as a query or as a pattern."""
+height (mode 0 in newer firmware), the shortest pulses and 10 scans per second. To other known
+boards, these bytes are neither a query nor a pattern."""
 QUIET = b"\xfb\x02\xfb\x02"  # stops pulses at the next scan
 LOAD = b"\xfb\x02\xfe"  # stops pulses and begins a pattern
 GO = b"\xfb\0"  # starts pulses at the next scan
@@ -102,9 +102,9 @@ GO = b"\xfb\0"  # starts pulses at the next scan
 def zero_anywhere(outputs: int) -> bytes:
     """Return the bytes that set a board to zero in any state of its parser.
 
-    Zeros first complete an incomplete command; they can only make its number smaller. Then the
-    bytes stop all pulses and load zeros. There are more zeros than necessary, because some may be
-    lost.
+    If the board is in the middle of a command, the first zeros complete the command, and can only
+    make its value smaller. The other bytes stop all pulses and load zeros. There are more zeros
+    than necessary, because some may be lost.
     """
     return bytes(2 * outputs + 4) + NO_SENSE + b"\xfb\x02\x02\x02\xfe" + bytes(2 * outputs)
 
@@ -174,8 +174,8 @@ class ETactileKitLine:
     def _answers(
         self, query: bytes, *attempts: tuple[bytes, float], then: tuple[bytes, ...] = ()
     ) -> Iterator[bytes]:
-        """Yield the first byte of the answer to each attempt. An attempt first sends its bytes and
-        pauses, to resynchronize the parser. Then it sends the commands ``then`` and the query."""
+        """Yield the first byte of the answer to each attempt. Each attempt sends its bytes and then
+        waits, to resynchronize the parser. It then sends the commands in ``then`` and the query."""
         for data, pause_s in attempts:
             self.line.write(data)
             self.line.pause(pause_s)
@@ -198,11 +198,11 @@ class ETactileKitLine:
         capacity = 8 * answer[0]
         if self.outputs > capacity:
             raise BoardError(
-                f"the eTactileKit at {line.name} has {capacity} outputs, the profile needs "
+                f"the eTactileKit at {line.name} has {capacity} outputs, but the profile needs "
                 f"{self.outputs}: use the profile of this board"
             )
-        # AT_REST has set the number of electrodes to 0, and PING returns this number. Firmware
-        # without PING answers only CHIPS.
+        # AT_REST has set the number of electrodes to 0, so PING returns 0. Older firmware has no
+        # PING and answers only CHIPS.
         if b"\0" + answer not in (line.ask(PING + CHIPS, 2, CHIPS_S) for _ in range(LOOKS)):
             for command in AT_REST:
                 line.write(command)
@@ -276,10 +276,10 @@ which could prevent the start."""
 
 
 class WatchedPort:
-    """Serial port or TCP connection whose board a `watchdog` sets to zero when this program is
-    gone.
+    """Serial port or TCP connection with a `watchdog`, which sets the board to zero when this
+    program is gone.
 
-    It rejects writes once the watchdog has ended or may be writing zero. POSIX only (tested on
+    The port rejects writes if the watchdog has ended or may be writing zeros. POSIX only (tested on
     Linux).
     """
 

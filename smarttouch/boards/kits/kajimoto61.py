@@ -13,9 +13,10 @@ zero.
 A lost or doubled byte shifts one scan by one electrode. Neither board nor driver detects this. The
 second packet after this scan is correct again, because no intensity equals the start byte.
 
-After power-on the board tests its source until the first packet. This packet contains zeros, which
-do not load the converter. Therefore the first pulse begins with the last current of the test, at
-most 2.5 mA, for about 3 µs (8 nC). No packet can prevent this.
+After power-on the board tests its source until the first packet arrives. This packet contains only
+zeros, and zeros load no new value into the D/A converter. When the first electrode pulses, the
+converter therefore still holds the last value of the test, at most 2.5 mA, for about 3 µs (8 nC).
+No packet can prevent this.
 """
 
 from typing import ClassVar
@@ -54,7 +55,7 @@ class Kajimoto61Driver(Driver):
         self.ua_per_count: float = require_kit("kajimoto61", port, output, self.default_profile)
         if limits.electrodes != ELECTRODES:
             raise BoardError(
-                f"a kajimoto61 board has {ELECTRODES} electrodes, the profile "
+                f"a kajimoto61 board has {ELECTRODES} electrodes, but the profile has "
                 f"{limits.electrodes}: use the profile {self.default_profile}"
             )
         self.port, self._limits = port, limits
@@ -78,8 +79,8 @@ class Kajimoto61Driver(Driver):
         # Detect an eTactileKit: it answers the start byte FF, a kajimoto61 board does not.
         if answer := line.read(64, 0.05):
             raise BoardError(
-                f"the board at {self.port} answers {len(answer)} bytes to a packet that a "
-                "kajimoto61 board does not answer: it is another board, perhaps etactilekit:"
+                f"the board at {self.port} is not a kajimoto61, because it answers a scan (with "
+                f"{len(answer)} bytes): use its own kind, perhaps etactilekit:{self.port}"
             )
         return Capabilities(
             electrodes=ELECTRODES,
@@ -128,14 +129,14 @@ class Kajimoto61Driver(Driver):
         return packet.tobytes()
 
     def write(self, proved: ProvedSequence) -> None:
-        """Send a packet for each pass, on a grid of absolute deadlines."""
+        """Send a packet for each pass, at deadlines one period apart."""
         line, packet = self._line, self.encode(proved.sequence)
         now_ns, period_ns = line.now_ns(), 1000 * proved.sequence.period_us
         if now_ns > proved.write_before_ns:
             raise line.late()
         next_ns, self._next_ns = self._next_ns, None
         if next_ns is None or now_ns - next_ns > self._period_ns:
-            # The first packet of a run or after a pause starts a new grid.
+            # At the start of a run and after a pause, plan all deadlines anew.
             next_ns = now_ns + int(LEAD_S * 1e9)
         for scan in range(proved.times):
             if line.now_ns() < next_ns:

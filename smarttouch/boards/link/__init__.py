@@ -30,7 +30,7 @@ SILENCE_MS = 100
 ALIVE_MS = 20
 LATE_MS = 250  # a packet is late if the newest ALIVE that it confirms is older than this
 LONGEST_PACKET_MS = 1000  # longest time for which an incomplete packet counts as a sign of life
-HALF = 2**32 - 1  # mask of the lower half of a session number; the host draws this half
+HALF = 2**32 - 1  # mask of the lower half of a session number; the host draws it at random
 Output = Literal["weighted", "three-state", "one-against-all"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 
@@ -39,9 +39,8 @@ CAPABILITIES = struct.Struct("<HBBHHHHIIH")
 to zero ms, compliance V, kernel bytes, packet bytes, most kernels. The firmware's name follows."""
 ALIVE = struct.Struct("<h")
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
-"""Payload of LIMITS: shortest period µs, total µA, longest pulse µs, full current µA, rounding µA,
-reserved, ramp ms, session s, session µC, duty %, reserved, width of a pulse at full current µs.
-For each electrode: u16 largest current µA, u16 perceptible current µA, u32 largest charge pC."""
+"""Payload of LIMITS, up to the values of each electrode. The section on limits in
+``firmware/PROTOCOL.md`` describes all fields."""
 SEQUENCE = struct.Struct("<IHHBB")  # period µs, times, intensity, flags, number of pulse shapes
 GROUP = struct.Struct("<BBH")  # kind, pulse shape and number of slots
 POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups

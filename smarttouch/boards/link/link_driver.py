@@ -32,14 +32,14 @@ from smarttouch.stimulation.scan_sequence import KernelTable
 
 HEARTBEAT_S = 0.03  # longest time without a packet of the host; the board's timeout is 0.1 s
 SILENCE_S = 0.5  # silence after which a board is lost: in a session, boards send every 20 ms
-LISTENED_S = 0.1  # a longer read counts only as this silence: this computer has paused
+LISTENED_S = 0.1  # a read adds at most this silence: during a longer read, this computer has paused
 ANSWER_S = 1.0
 ASKED_AGAIN_S = 0.25  # time after which a query is sent again
 PAUSED_S = 1.0  # a refusal this soon after a pause of this computer is blamed on the pause
 LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
 AFTER_ZERO_S = 0.02  # after a confirmed stop, no slot may follow in this time: a period at 50 Hz
-MOST_COMPLIANCES = 2.1  # largest valid ratio of slot voltage to compliance: two sources reach 2
+MOST_COMPLIANCES = 2.1  # largest valid ratio of slot voltage to compliance: 2 between two sources
 OPEN_SHARE = 0.97  # if all voltages reach this share of the compliance, the finger is lifted
 _PIECE = 1024  # bytes of kernels per packet; longer packets would block the line too long
 _IDLE = 3  # storing kernels has failed after this number of packets without progress
@@ -252,7 +252,7 @@ class LinkSession:
 
     def _accept_offer(self, offer: Message) -> bool:
         if offer.version != VERSION:
-            # `begin` passes the packet to ``accept``, which raises an error with the version.
+            # `begin` passes the packet to ``accept``, which raises an error that names the version.
             return not self.begun
         was_asked = self._asked.pop(offer.about, None) == offer.kind
         if offer.session & HALF != self.number & HALF or not was_asked:
@@ -267,7 +267,7 @@ class LinkSession:
         board's clock, ``sent_ns`` the time of sending, ``now_ns`` the time of the answer. The
         offset between the clocks comes from the fastest of the last 16 answers."""
         if self._ahead_ns and 1000 * board_us + min(self._ahead_ns) < sent_ns:
-            # The start seems to be before the sending, so the board's clock has paused.
+            # By the old offset, the sequence began before it was sent: the board's clock paused.
             self._ahead_ns.clear()
         self._ahead_ns.append(now_ns - 1000 * board_us)
         return 1000 * board_us + min(self._ahead_ns)
@@ -303,7 +303,7 @@ class LinkDriver(Driver):
         self._first: BoardReport  # baseline of counts: report at the last opening or power-on
         self._slots_sent = 0  # slots sent since `_report`; each repetition counts
         self._unsafe_refused = 0  # largest possible number of sequences refused as unsafe
-        self._suspicion = ""  # fault in voltages, or ""; the next `idle` stops the board for good
+        self._suspicion = ""  # fault in voltages, else ""; after a fault, `idle` stops the board
         self._table: KernelTable | None = None
         self._image: encoding.KernelImage | None = None
         self._sent: dict[int, SentPart] = {}  # recent parts by number
@@ -432,7 +432,7 @@ class LinkDriver(Driver):
 
     def _take_offer(self, answer: Message) -> None:
         """Check and store a board's capabilities. They must fit the profile. After a lost
-        connection, they must be unchanged. A wrong board receives only HELLO."""
+        connection, they must be unchanged. Before this check, a board receives only HELLO."""
         name, before = self._line.name, self.can if self._line.reopened else None
         if answer.version != VERSION:
             raise BoardError(
