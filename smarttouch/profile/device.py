@@ -27,7 +27,7 @@ class Output(Table):
     masked: tuple[int, ...] = ()
     """Electrodes that are never driven, because they are broken, open or shorted."""
     wiring: tuple[int, ...] | None = None
-    """Number of the board's output for each electrode; by default, the number of the electrode."""
+    """For each electrode, the number of its board output; by default, the electrode's number."""
     ua_per_count: Positive | None = None
     """Measured current of one count of the board's DAC; by default the nominal current."""
 
@@ -155,14 +155,14 @@ class Limits(Table):
 
 
 class Frames(Table):
-    """Bounds of slots that stimulate several points."""
+    """Limits on errors of activation in slots that stimulate several points."""
 
     other: float = Field(default=0.3, gt=0, le=1)
-    """Largest off-target: activation of any other class, relative to the weakest target. The
-    paper's SAI kernel for line electrodes reaches 0.30."""
+    """Largest accepted off-target: the activation of any other class, divided by the activation of
+    the weakest target. The paper's SAI kernel for line electrodes reaches 0.30."""
     spill: float = Field(default=0.3, gt=0, le=1)
-    """Largest spill: activation of the targets' class at places more than a pitch from every
-    target, relative to the weakest target."""
+    """Largest accepted spill: the activation of the targets' class at places more than a pitch from
+    every target, divided by the activation of the weakest target."""
     uneven: float = Field(default=0.05, gt=0, le=0.5)
     """Largest relative deviation of a target from its requested activation."""
     share: bool | None = None

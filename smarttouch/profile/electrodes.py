@@ -144,7 +144,7 @@ class GridLayout(Table):
 
     def __str__(self) -> str:
         size = f"{self.rows} x {self.columns} discs of {self.diameter_mm:g} mm"
-        return f"{size} at {self.pitch_x_mm:g} mm"
+        return f"{size}, pitch {self.pitch_x_mm:g} mm"
 
     def build(self) -> ElectrodeArray:
         """Return the electrodes, numbered row by row from the top left."""
@@ -223,8 +223,8 @@ class FreeLayout(Table):
     shape: Literal["point", "disc", "annulus", "rectangle"] = "disc"
     """Shape of all electrodes."""
     size_mm: tuple[float, float] = (1.0, 0.0)
-    """Size of all electrodes: diameter and 0 of a disc, outer and inner diameter of an annulus, or
-    width and height of a rectangle."""
+    """Size that all electrodes have: [diameter, 0] for a disc, [outer, inner diameter] for an
+    annulus, [width, height] for a rectangle."""
     shapes: tuple[Literal["point", "disc", "annulus", "rectangle"], ...] | None = None
     """Shape of each electrode, if they differ; requires ``sizes_mm``. An annulus can surround
     another electrode (paper, Section III-C)."""

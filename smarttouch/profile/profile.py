@@ -196,8 +196,8 @@ class Profile(Table):
     def design_total_ma(self) -> float | None:
         """Limit of a kernel's total current in kernel design, mA, or None.
 
-        It is None if slots have a single point and the profile's limit is not below the project's
-        ceiling. `PointSlots` then refuses kernels above the ceiling.
+        It is None if each slot has a single point and the profile's limit is not below the
+        project's ceiling. In this case, `PointSlots` refuses kernels above the ceiling.
         """
         total = self.limits.total_ma or CEILING_TOTAL_MA
         return total if self.shares or total < CEILING_TOTAL_MA else None
@@ -334,8 +334,8 @@ def require_driven(
             named = f"{low}-{high}" if high != low and not there else f"{bad[0]}"
             without = f" except {', '.join(map(str, masked))} (masked)" if masked else ""
             raise error(
-                f"{about} {named} cannot be driven: choose from 0 to {count - 1}{without}, the "
-                f"electrodes of {profile.name}",
+                f"{about} {named} cannot be driven: choose from the electrodes of {profile.name}, "
+                f"0 to {count - 1}{without}",
                 electrode=int(bad[0]),
             )
     return np.unique(np.concatenate([np.arange(low, high + 1) for low, high in ranges]))
@@ -385,7 +385,7 @@ def stricter(own: Profile, other: Profile) -> Profile:
     if lower.any():
         perception["comfort_ma"] = tuple(full_ma.tolist())
     if (threshold_ma < own.threshold_ma).any():
-        # Set ``comfort_ma``, because by default comfort levels follow the thresholds.
+        # Set ``comfort_ma``: otherwise, comfort levels would follow the lower thresholds.
         perception |= {
             "threshold_ma": tuple(threshold_ma.tolist()),
             "comfort_ma": tuple(full_ma.tolist()),
@@ -395,6 +395,6 @@ def stricter(own: Profile, other: Profile) -> Profile:
     tables = {"limits": limits, "pulse": pulse, "perception": perception, "output": output}
     if all(table == getattr(own, name).model_dump() for name, table in tables.items()):
         return own
-    # Set ``share``, because by default ``limits.total_ma`` allows several points in a slot.
+    # Set ``share``: otherwise, a new ``limits.total_ma`` would allow several points in a slot.
     frames = own.frames.model_dump() | {"share": own.shares}
     return own.model_copy(update={**tables, "frames": frames})

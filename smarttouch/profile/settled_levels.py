@@ -43,7 +43,7 @@ def read_levels(profile: Profile) -> list[SettledLevel]:
 
 
 class SettledLevels:
-    """Log of the comfortable levels of a run, and offers of the levels of earlier runs.
+    """Log of the comfortable levels of a run. For each mode, it offers a level of an earlier run.
 
     An offered level gives the logged current. A level above ``most`` is not offered."""
 

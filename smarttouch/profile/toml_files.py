@@ -30,9 +30,7 @@ def list_profiles() -> list[str]:
 
 
 COARSEST_MM = 0.25  # largest ``skin.node_spacing_mm`` of arrays with up to `MOST_FINE` electrodes
-MOST_FINE = 200
-"""Largest number of electrodes for which `COARSEST_MM` applies. Larger arrays would need too much
-memory at this spacing."""
+MOST_FINE = 200  # at a spacing of `COARSEST_MM`, larger arrays would need too much memory
 
 
 def load_profile(name: str | Path | Profile) -> Profile:
@@ -56,8 +54,9 @@ def load_profile(name: str | Path | Profile) -> Profile:
     skin, small = profile.skin, len(profile.electrodes) <= MOST_FINE
     if skin.medium != "plane" and skin.node_spacing_mm > COARSEST_MM and small:
         raise ProfileError(
-            f"{path}: skin.node_spacing_mm {skin.node_spacing_mm:g} is too coarse: activation of "
-            f"other classes rises by a third between nodes; set 0.1 (at most {COARSEST_MM:g})",
+            f"{path}: skin.node_spacing_mm {skin.node_spacing_mm:g} is too coarse: between "
+            "nodes, activation of other classes is a third larger than at nodes; set 0.1 (at most "
+            f"{COARSEST_MM:g})",
             key="skin.node_spacing_mm",
         )
     return profile

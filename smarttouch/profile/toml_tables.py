@@ -67,7 +67,7 @@ _KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
 _WHOLE_KINDS = ("bool", "int", "float", "str", "SlotPolicy")
 """Names of types that pydantic inserts into the path of keys."""
 _NOT_OF_KIND = ("float_type", "tuple_type")
-"""Pydantic errors about the type of a value. An error of an item in the value replaces them."""
+"""Pydantic errors about a whole value. They are dropped if an item of the value has an error."""
 _MOST_IN_A_SENTENCE = 8
 
 _Error = TypeVar("_Error", bound=TableError)
