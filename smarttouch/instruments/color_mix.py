@@ -155,7 +155,7 @@ class Mixture:
 
 def mix_colors(
     trace: Trace,
-    # The force law sets the force of full SAI drive. The limits set the shortest period.
+    # At `force.full_n`, SAI drive is full. The limits set the shortest period of a sequence.
     profile: Profile,
     bank: KernelBank,  # kernels; a class without kernels cannot be stimulated
     sites: Collection[int] | None = None,  # stimulated electrodes; by default those of `disc`
@@ -320,10 +320,10 @@ def open_vibration(
     display: Display | None = None,
     vibrated: bool = False,
 ) -> ColorSource:
-    """Open ``vibration:SPEC`` or ``vibration:CSV``, a trace as for `open_trace`.
+    """Open ``vibration:TRACE``. TRACE is a line or a CSV file, as for `open_trace`.
 
     ``sites`` lists electrodes, as in ``27,28,35-36`` or ``all``. They pulse when the receptors of a
-    class would fire. If a display is given, its board determines which classes can be mixed. If
+    class would fire. If a display is given, the stimuli fit the timing of its board. If
     ``vibrated``, a mechanical vibrator stimulates PC.
     """
     trace = open_trace(rest, seconds)

@@ -270,8 +270,8 @@ class MouseSource(StimulusSource):
             self.emit(
                 Note(
                     time_ns,
-                    f"more than {self.fastest_hz:g} ridges a second pass an electrode, so some "
-                    "pulses are left out: move more slowly",
+                    f"an electrode passes more than {self.fastest_hz:g} ridges per second, so "
+                    "some pulses are left out: move more slowly",
                 )
             )
         return kept_pulses

@@ -56,7 +56,7 @@ class HandMotion(Device, ABC):
 def open_motion(url: str, **options: Any) -> HandMotion:
     """Open a motion: ``sweep:``, ``evdev:DEVICE``, ``path:CSV``, or any source with a pose.
 
-    The URL can contain the options, as in ``sweep:?speed_mm_s=20``. None selects the default.
+    Options can be in the URL, as in ``sweep:?speed_mm_s=20``. An option of None has its default.
     """
     kind, colon, rest = url.partition(":")
     openers: dict[str, Callable[..., HandMotion]] = {

@@ -171,14 +171,14 @@ class Relief(Texture):
         return np.asarray(depth[inside].copy(), np.float32)
 
 
-_STROKE = 0.15  # smallest depth, in grains, at which an electrode pulses once per grain of motion
+_STROKE = 0.15  # smallest depth, as a share of `grain_mm`, for pulses at every `grain_mm` of motion
 _STEP = 1.25  # distance between samples along the path, in pixels of the map
 _MOST_SAMPLES = 64
 _FULL = 0.96
-"""Share of half a grain from which depth counts as full, because rounding and blur reduce depth."""
+"""Full depth is half a grain. This share of it suffices, because rounding and blur reduce depth."""
 _LEAST_RISE = 0.5
-"""Smallest rise of depth from the last pulse to a crest, as a share of the crest's depth. Maxima
-after a smaller rise, as on a path along a ridge, are ignored."""
+"""Smallest rise to a crest from the smallest depth since the last pulse, as a share of the crest's
+depth. A maximum after a smaller rise, as on a path along a ridge, is ignored."""
 
 
 class ReliefFeeler:
@@ -196,14 +196,14 @@ class ReliefFeeler:
         self._least_mm = relief.pixel_mm / 2
         self._ground_mm = np.float32(_STROKE * relief.grain_mm)
         self._within_mm = relief.grain_mm / 2 - float(self._ground_mm)
-        """Distance of motion in a wide area, from depth `_ground_mm` to the first pulse."""
+        """On the way into a wide area, the distance from depth `_ground_mm` to the first pulse."""
         self._all = np.arange(len(position_mm))
         self._nothing = RidgeCrossing(np.zeros(len(position_mm), np.float32), 0)
         self._nothing.height.flags.writeable = False
         self.place(0.0, 0.0)
 
     def place(self, x_mm: float, y_mm: float) -> None:
-        """Set the array's center. Electrodes on raised areas pulse after a grain of motion."""
+        """Set the array's center. In a wide raised area, the next pulse is `grain_mm` away."""
         self._place = complex(x_mm, y_mm)
         x, y = self._on_map(np.array([self._place]))
         self._before = np.repeat(self._depth(x, y), 2, axis=0)
@@ -249,7 +249,7 @@ class ReliefFeeler:
             self._lowest = lowest[-1]
             return self._nothing
         self._lowest = np.where(pulsed, depth[-1], lowest[-1])
-        # Measure the next grain of motion from where this pulse was due, not from where it is sent.
+        # Measure the motion to the next pulse from the place where this pulse was due, not sent.
         gone, grain_mm = places[-1] - self._pulsed, self._relief.grain_mm
         gone_mm = np.maximum(np.abs(gone), grain_mm)
         over = gone_mm - grain_mm < step_mm * (len(places) - 2)
@@ -281,7 +281,7 @@ class ReliefFeeler:
     def _inside(
         self, places: NDArray[np.complex128], depth: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
-        """Return which electrodes are on a raised area, a grain or more from their last pulse."""
+        """Return which electrodes on raised areas moved `grain_mm` or more since the last pulse."""
         low = depth[1:] < self._ground_mm
         entered = places[len(low) - low[::-1].argmax(axis=0)]
         self._entered = np.where(low.any(axis=0), entered, self._entered)

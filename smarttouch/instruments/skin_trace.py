@@ -138,7 +138,7 @@ SAI_FULL_UM = 1500.0
 SAI_RATE_HZ = 50.0
 """Default SAI rate at full drive. At the threshold, SAI fires at a fifth of this rate."""
 _PAD_S = 1.0  # padding before and after a trace, because the Fourier transform is cyclic
-_GAP_S = 0.05  # longest time during which a vibration can be below the threshold without ending
+_GAP_S = 0.05  # a vibration ends if it stays below the threshold for longer than this
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,8 +229,8 @@ def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int
     on = np.flatnonzero(driven)
     if not len(on):
         return np.empty(0)
-    # With jitter, the phase can cross zero several times in a cycle: count its new maxima.
-    # An offset lifts the phase of each driven stretch above that of all earlier stretches.
+    # With jitter, the phase can cross zero several times in a cycle: count a crossing only if the
+    # phase exceeds all earlier phases. An offset lifts each driven stretch above earlier ones.
     starts = on[np.diff(on, prepend=-gap - 1) > gap]
     stretch = np.cumsum(np.bincount(starts, minlength=len(driven))) - 1
     height = full_turns - full_turns[starts][stretch] + stretch * (2 * len(driven))

@@ -79,7 +79,7 @@ class SocketSource(Program):
                 writer.close()
 
         server = await asyncio.start_unix_server(connected, sock=self._listener, limit=MOST_BYTES)
-        # Put an empty pattern, so that time advances for screens and recordings.
+        # Present an empty pattern, so that time advances for screens and recordings.
         self.put(self._nothing, 0)
         while not self._closing.is_set():
             self._require_loop()
@@ -102,7 +102,7 @@ class SocketSource(Program):
     async def _put_newest(self, pattern: Pattern, stale_s: float = 0.5) -> None:
         """Replace the current pattern, and end the current show."""
         self._end_task()
-        # In simulated time `put` blocks, so a thread calls it.
+        # If time is simulated, `put` blocks, so call it in a thread to keep the event loop running.
         await asyncio.to_thread(self.put, pattern, stale_s)
 
     async def _answer(self, line: bytes, writer: asyncio.StreamWriter) -> None:
@@ -154,7 +154,7 @@ class SocketSource(Program):
             return self.checked(Frame(array.astype(np.uint8), 0))
         if array.shape == self._nothing.shape and np.delete(array, self.afferents, axis=0).any():
             driven = ", ".join(afferent.name for afferent in self.afferents)
-            raise SourceError(f"this run drives {driven}: leave the other rows at zero")
+            raise SourceError(f"this run stimulates only {driven}: set all other rows to zero")
         return self.checked(array)
 
 

@@ -90,10 +90,10 @@ class Grating(Texture):
 
 
 class GratingFeeler:
-    """Sampler of a grating. A ridge passes an electrode when the phase crosses an integer.
+    """Sampler of a grating. A ridge passes when the phase of an electrode crosses an integer.
 
-    The phase is the electrode's place on the texture times the spatial frequency. So the pulse rate
-    is speed times spatial frequency (paper, Section IV-C).
+    The phase of an electrode is its place on the texture times the spatial frequency. So the pulse
+    rate is speed times spatial frequency (paper, Section IV-C).
     """
 
     def __init__(self, per_mm: NDArray[np.float64], position_mm: NDArray[np.float64]) -> None:
