@@ -141,7 +141,7 @@ class Braille:
 
     table: str = DEFAULT_TABLE
     tone: ClassVar[Tone] = Tone(0.5, 0.5, prepared=True)
-    """Tone curve from dots to activation: electrodes are on or off."""
+    """Tone curve of Braille: a step, so that each electrode is either on or off."""
 
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None

@@ -231,7 +231,7 @@ class BrailleDisplaySource(StimulusSource):
         light = np.where(self._dots, 0, 255).astype(np.uint8)
         grey = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_NEAREST), np.uint8)
         top_mm = self._jumps * (rows * down + LINE_GAP_MM) - rows * down / 2
-        # Both counts only increase, so each jump and each update changes the sheet's number.
+        # Neither term decreases, so each jump and each update gives the sheet a new number.
         number = self._jumps + self._taken.number
         return Sheet(number, Page(grey, across / _DOT_PX), (0.0, top_mm))
 
@@ -261,7 +261,7 @@ class BrailleDisplaySource(StimulusSource):
         image = cv2.resize(light, self._shape, interpolation=cv2.INTER_NEAREST)
         activation = np.zeros((len(Afferent), window.size), np.float32)
         activation[:] = window.ravel()
-        # In the coordinates of poses, each jump begins a new line below the previous line.
+        # Poses are places on a sheet. Each jump begins a new line on it, below the previous line.
         across, down = layout.pitch_mm
         pose = Pose(
             (left + layout.columns / 2) * across, self._jumps * (layout.rows * down + LINE_GAP_MM)

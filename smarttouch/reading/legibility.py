@@ -231,7 +231,7 @@ def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
 _PERIODS = 10
 """Number of periods for each letter. Noise and refractoriness change the spikes in each period."""
 _RAMP_US = MOST_STEP_NS // 1000
-"""Period of sequences while intensity rises. A longer period would not raise intensity more."""
+"""Period of sequences while intensity rises. A longer period gives no larger rise per sequence."""
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ class Shapes:
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
     ) -> LineMotion:
-        """Return a smooth motion of lines, so that each edge of a letter passes each electrode."""
+        """Return a smooth motion, so that each edge of a letter passes over each electrode."""
         return LineMotion(usual_speed_mm_s(profile, rate_hz) if speed_mm_s is None else speed_mm_s)
 
     def lines(self, source: ReadingMaterial, profile: Profile) -> Iterator[TouchLine]:

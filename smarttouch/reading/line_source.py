@@ -27,7 +27,7 @@ SETTLE_S = 0.75
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
 LONGEST_PAUSE_S = 3600.0
 LINE_GAP_MM = 4.0
-"""Gap between lines in the coordinates of poses. In them, all lines are below each other."""
+"""Gap between lines on a sheet. Poses are places on the sheet. All lines are below each other."""
 AHEAD = 30  # largest number of lines prepared in advance
 BEHIND = 60  # number of past lines that are stored for going back
 _JOIN_S, _AGAIN_S = 0.3, 0.1
@@ -242,7 +242,7 @@ class ReadingSource(OpticalSource):
         self.index, self._line_s = index, 0.0
 
     def _go_on(self, beyond_mm: float) -> None:
-        """Go to the next line after the pause. At the last line, ignore an infinite pause."""
+        """Go to the next line after the pause. If pauses are infinite, the last line has none."""
         pause_s = self._pause_s
         if pause_s == math.inf and self.line(self.index + 1) is None and self._is_over:
             pause_s = 0.0
@@ -262,9 +262,9 @@ class ReadingSource(OpticalSource):
         self._again = False
 
     def _draw(self, line: TouchLine, x_mm: float, image: NDArray[np.uint8]) -> None:
-        """Draw the image under the array, and the point that marks the start of the line.
+        """Draw the part of a line under the array, and the point that marks the start of the line.
 
-        Pulses of the point raise the intensity before the text arrives.
+        Pulses at the point let intensity rise before the text arrives.
         """
         rows, columns = self._shape
         left = x_mm / self._pixel_mm - columns / 2

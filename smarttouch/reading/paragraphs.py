@@ -17,10 +17,10 @@ _INDENT = 0.8  # smallest indent of a paragraph, in x-heights
 _SAME_ROW_MM = 0.5  # largest vertical offset between lines that are side by side
 _EVEN = 0.5  # largest difference between the right ends of full lines, in x-heights
 _SHORT = 0.15  # a line is short if more than this share of the column is free after it
-_OPEN = 1 / 3  # lines stay separate if at least this share ends early within a sentence
+_OPEN = 1 / 3  # lines stay separate if at least this share of them ends early and in mid-sentence
 _LONGEST_VERSE = 60  # a full line with more characters is not a line of verse
 _LEADERS = re.compile(r"(?:\s?[.·…‥•]){4,}\s*;?\s*(?=\S*\d\S*$|[ivxlc]{1,7}\W*$)")
-"""Leader dots before a page number or a price; a semicolon can separate cells of a table."""
+"""Leader dots before a page number or a price. In a row of a table, a semicolon can follow them."""
 _BLANK = re.compile(r"(?:_{3,}|(?:\s?[.…]){5,})\W*$")
 """Blank space to write in, as on forms, at the end of a line."""
 _BULLETS = r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]"
@@ -35,7 +35,7 @@ _AND = frozenset(["and", "or", "und", "oder", "bis", "bzw"])
 _HYPHENATED = frozenset(["self", "well"])  # first parts of compounds that keep their hyphen
 _SAME_MM = 5.0  # a repeated line shifts vertically by less than this between two pages
 _HEAD_GAP = 1.15  # smallest gap between running head and text, relative to the median line distance
-_MOST_HEADS = 4  # more repeated lines at the edge of a page mean that pages are copies of a form
+_MOST_HEADS = 4  # if more lines at the edge of a page repeat, the pages are copies of a form
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,8 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
 
 
 def _keys(line: PrintedLine) -> Iterator[str]:
-    """Yield keys; lines of one running head share a key. The first key is the text. The others have
-    # in place of a number, and end with the difference of this number and the page number."""
+    """Yield the keys of a line. Lines of one running head share a key. The first key is the text.
+    Further keys have # for one of the numbers, and end with this number minus the page number."""
     yield line.text
     for number in re.finditer(r"\d{1,5}", line.text):
         before, after = line.text[: number.start()], line.text[number.end() :]
@@ -143,7 +143,7 @@ def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
             current = None
             continue
         if k and line.page != lines[k - 1].page:
-            # A page can end with a footnote, so continue the last paragraph in this size of print.
+            # A page can end with a footnote: continue the last paragraph of this line's print size.
             alike = (earlier for earlier in reversed(joined) if lines[earlier.last].is_like(line))
             current = next(alike, None)
         text = _LEADERS.sub(" ", line.text)
@@ -188,7 +188,7 @@ class _Layout:
             self._classify(block)
 
     def _runs(self, parts: Callable[[PrintedLine, PrintedLine], bool]) -> Iterator[list[int]]:
-        """Yield runs of line indices. The end of a page or ``parts(line, next)`` ends a run."""
+        """Yield runs of line indices. A page's end or a true ``parts(line, next)`` ends a run."""
         run: list[int] = []
         for k, line in enumerate(self._lines):
             before = self._lines[k - 1]

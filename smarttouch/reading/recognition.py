@@ -30,8 +30,8 @@ PAGE, BLOCK, _LINE = 3, 6, 7  # page segmentation modes of Tesseract
 LARGEST_SIDE = 32_000  # largest side, pixels; Tesseract's limit is 32,767
 _TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # time limit of a call, and extra time for each strip
 _WORD, _COLUMNS = "5", 12
-"""Level of rows that describe words in Tesseract's table, and number of columns: level, page,
-block, paragraph, line, word, left, top, width, height, confidence, text."""
+"""In Tesseract's table: level of words, and number of columns. The columns are level, page,
+block, paragraph, line, word, left, top, width, height, confidence and text."""
 STRIP_MARGIN = 0.25
 """White margin around a strip, relative to its height. On noisy and blurred strips, it caused fewer
 errors than 0.15 and 0.45."""
@@ -187,7 +187,7 @@ def _is_ideographic(sign: str) -> bool:
 def upright_page(number: int, page: Page, options: RecognitionOptions, note: Note) -> PreparedPage:
     """Return a straight and upright page, ink on white paper, with lines in reading order.
 
-    A page whose file contains its text is not corrected. Raises PageError for pictures of Braille.
+    If the file contains the text, the page is not turned. Raises PageError for pictures of Braille.
     """
     for words in page.notes:
         note(f"page {number}: {words}")
@@ -258,7 +258,7 @@ def _strip(prepared: PreparedPage, index: int) -> NDArray[np.uint8]:
 
 
 def _legible(read: Iterable[Read]) -> tuple[float, int]:
-    """Return the number of recognized letters, weighted by confidence, and unweighted."""
+    """Return the number of recognized letters twice: weighted by confidence, and unweighted."""
     known = list(read)
     return sum(len(text) * sure for text, sure in known), sum(len(text) for text, _ in known)
 
