@@ -17,7 +17,7 @@ MOST_BYTES = 50_000_000  # largest file; books have a few million cells
 _CODE = " A1B'K2L@CIF/MSP\"E3H9O6R^DJG>NTQ,*5<-U8V.%[$+X!&;:4\\0Z7(_?W]#Y)="
 _CELL_OF = {ord(code): chr(ord(BLANK) + k) for k, code in enumerate(_CODE)}
 _CELL_OF |= {code + 32: cell for code, cell in _CELL_OF.items() if 64 <= code < 95}
-"""Codes 96 to 126 have the same cells as codes 64 to 94: a has the cell of A."""
+"""Codes 96 to 126 have the same cells as codes 64 to 94: ``a`` has the cell of ``A``."""
 _MARKS = {
     codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be",
 }  # fmt: skip

@@ -26,7 +26,7 @@ MISSING_NOTE = f"liblouis is not installed: only English grade 1 works; for othe
 
 
 BrailleCode = Grade1 | LouisCode
-"""Code that translates single lines; `goes_back` states whether it also decodes cells to text."""
+"""Braille code that translates line by line; `goes_back` states whether it also decodes cells."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class BrailleTable:
         example = "".join(re.split(r"\s+", text)[wrong[0] : wrong[0] + 1])
         return (
             f"{len(wrong)} of {len(plain)} words may be wrong, the first is {example!r}: table "
-            f"{self.name} translates these words back to cells that differ from the original"
+            f"{self.name} translates these words to cells that differ from the original cells"
         )
 
 
@@ -206,7 +206,7 @@ def known_tables() -> dict[str, str]:
 def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
     """Open a table by short name, by file name of a liblouis table, or by language tag.
 
-    A tag such as ``fr`` or ``pt-BR`` selects the table of the language with fewest contractions.
+    Among the tables of a language, a tag such as ``pt-BR`` selects that with fewest contractions.
     """
     if _TAG.fullmatch(name):
         language = name.lower().partition("-")[0]

@@ -98,8 +98,8 @@ def has_table(table: str) -> bool:
 
 
 def find_table(language: str) -> str | None:
-    """Return the file name of the table with fewest contractions. ``language`` is a tag, ``pt`` or
-    ``pt-BR``. If the country has no table, return a table of the language."""
+    """Return the file name of the table with fewest contractions for a tag such as ``pt-BR``. If no
+    table is for the country (BR), return a table of the language (pt)."""
     tag = _TAG_OF.get(language) or _TAG_OF.get(language.partition("-")[0]) or language
     main_language = tag.partition("-")[0].lower()
 
@@ -128,7 +128,7 @@ def language_of(table: str) -> str:
 
 
 def _query(function: str, *arguments: bytes) -> str:
-    """Call a function of liblouis; return its text, or "" without a text or without liblouis."""
+    """Call a function of liblouis and return its text; "" if there is no text or no liblouis."""
     library = _library()
     if library is None:
         return ""

@@ -76,5 +76,5 @@ def _fits(line: str, columns: int) -> bool:
 
 
 def _is_continued(line: str, columns: int) -> bool:
-    """Return whether a line ends with the continuation indicator; only full lines can."""
+    """Return whether a line is full and ends with the continuation indicator."""
     return len(line) == columns and line.endswith(CONTINUED)
