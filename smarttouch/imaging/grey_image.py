@@ -18,7 +18,7 @@ from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
 Pixels = NDArray[Any]
 MOST_PIXELS = 100_000_000  # largest number of pixels of a page
 _MIXES = np.vstack([(0.299, 0.587, 0.114), np.eye(3)[[1, 0, 2]], (1 - np.eye(3)) / 2])
-"""Weights of red, green and blue to choose from: luma (ITU-R BT.601), one channel, mean of two."""
+"""Candidate weights of red, green and blue: luma (ITU-R BT.601), one channel, or mean of two."""
 _AROUND = np.ones((5, 5), np.uint8)  # neighborhood of a pixel for the detection of edges
 _EDGE_LEVELS = 40  # smallest difference of gray levels that counts as an edge
 _FEWEST_EDGES = 50  # smallest number of edge pixels from which color weights are chosen
@@ -77,7 +77,7 @@ class GreyConverter:
 
 def _ground(grey: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> tuple[int, int | None]:
     """Return the level of a transparent image's background, and the level of the visible pixels.
-    The second level is None if the visible pixels show print on paper, and keep their levels."""
+    If the visible pixels show print on paper, they keep their levels: the second level is None."""
     visible = np.asarray(alpha >= max(1, int(alpha.max()) // 2), np.uint8)
     inner = cv2.erode(visible, _AROUND) > 0
     edges = cv2.morphologyEx(grey, cv2.MORPH_GRADIENT, _AROUND)[inner] >= _EDGE_LEVELS
@@ -88,8 +88,8 @@ def _ground(grey: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> tuple[int, int
 
 
 def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
-    """Return the index of the weights that preserve edges best, or ``present`` if it is nearly as
-    good. An edge is preserved if it has at least half of its largest contrast."""
+    """Return the index of the weights that preserve edges best. Keep ``present`` if it is nearly as
+    good. Weights preserve an edge if they keep at least half of its largest contrast."""
     mixed = cv2.transform(colors[:: 1 + len(colors) // 400], _MIXES)
     edges = cv2.morphologyEx(mixed, cv2.MORPH_GRADIENT, _AROUND)
     edges = edges[edges.max(axis=2) >= _EDGE_LEVELS].astype(np.float32)
@@ -100,8 +100,8 @@ def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
 
 
 def _white_level(values: Pixels, black: float = 0.0) -> np.float64:
-    """Return the largest number with as many bits as the largest level, such as 1, 255 or 65535.
-    If ``black`` is negative, return the largest level minus ``black``."""
+    """Estimate the bit depth from the largest level, and return its level of white, such as 255
+    or 65535. If ``black`` is negative, return the largest level minus ``black`` instead."""
     peak = float(values.max()) - black
     least = 1 if values.dtype.kind == "f" or peak <= 1 else 255
     return np.float64(peak if black < 0 < peak else max(least, 2 ** int(peak).bit_length() - 1))
@@ -114,7 +114,7 @@ def _scaled(values: Pixels, black: float, white: float) -> NDArray[np.uint8]:
 
 @contextmanager
 def open_image(path: Path) -> Iterator[Image.Image]:
-    """Open an image file; exceptions of Pillow, also within the block, become PageErrors."""
+    """Open an image for a ``with`` block. Pillow's errors, also in the block, become PageErrors."""
     try:
         with warnings.catch_warnings():
             # Ignore warnings: sizes are checked later, and damage raises errors or is harmless.

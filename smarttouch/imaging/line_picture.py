@@ -28,8 +28,8 @@ class Raster:
         np.add.at(self.count, (row[on], column[on]), 1)
 
     def mean(self, spread: Callable[[Floats], Floats]) -> Floats:
-        """Blur sums and counts with ``spread``, and return their ratio: the mean at each pixel.
-        Pixels without values are 0."""
+        """Return the mean at each pixel: the sum of values divided by their number, both blurred
+        with ``spread``. Pixels without values are 0."""
         total, count = spread(self.value), spread(self.count)
         return np.divide(total, count, out=np.zeros_like(total), where=count > 1e-6)
 

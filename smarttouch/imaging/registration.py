@@ -126,7 +126,7 @@ def on_frame(
         return across / optics.field_width_mm + 0.5, down / optics.field_height_mm + 0.5
     a, b, c, d, e, f, g, h, one = optics.homography
     depth = g * x_mm + h * y_mm + one
-    # `one` is the depth at the array's middle. Depths behind the camera have the opposite sign.
+    # The depth at the array's middle is `one`. Behind the camera, depths have the opposite sign.
     depth = np.where(depth * np.sign(one) > 1e-9, depth, np.nan)
     column, row = (a * x_mm + b * y_mm + c) / depth, (d * x_mm + e * y_mm + f) / depth
     return (column + 0.5) / optics.sensor_columns, (row + 0.5) / optics.sensor_rows
@@ -147,7 +147,7 @@ def _field_mm(
     middle = np.array(on_frame(x_mm, y_mm, optics))
     right = np.array(on_frame(x_mm + step_mm, y_mm, optics)) - middle
     down = np.array(on_frame(x_mm, y_mm + step_mm, optics)) - middle
-    # Frame widths and frame heights per millimeter, at each electrode.
+    # Shares of the frame's width and height that a millimeter covers, at each electrode.
     parts = np.hypot(right, down) / step_mm
     chosen = parts.max(axis=1) if finest else parts.min(axis=1)
     if not ((chosen > 0) & (chosen * min(electrodes.cell_mm) <= optics.magnification)).all():

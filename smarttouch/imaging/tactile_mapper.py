@@ -15,11 +15,11 @@ from smarttouch.profile import Profile
 
 LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper
 LEAST_GRAINS = 4.0  # smallest contrast of print, relative to the contrast of the paper's grain
-PALE = 0.3  # smallest contrast, relative to white paper, at which dark spots cannot be grain
+PALE = 0.3  # dark spots with at least this contrast, relative to white paper, are not grain
 BLURRED = 0.3
-"""Smallest contrast of ink, relative to white paper. In a frame with a largest contrast below 0.5,
-0.6 times the largest contrast is enough."""
-GREY_GUARD = 0.41  # largest share of pixels between paper and ink; frames with more are noise
+"""Smallest contrast of ink, relative to white paper. In a frame whose largest contrast is below
+0.5, the limit is 0.6 times the largest contrast instead."""
+GREY_GUARD = 0.41  # frames with a larger share of pixels at levels between paper and ink are noise
 BLACK = 0.2  # wide areas darker than this, relative to white, are print, not a dark desk
 WHITE_DECAY_PER_S = 0.3  # decay rate of the white level, so slow that black headlines stay black
 _CLASSES, _ROWS = len(Afferent), {mode: mode.afferents[0] for mode in Mode}
@@ -72,8 +72,8 @@ ADAPTATION_S = 0.04
 """Time constant of adaptation to constant ink. Our choice: longer than the period of RA pulses, and
 so short that, at reading speed, no stroke smears over the next letter."""
 LEAVING = 0.4
-"""Activation of RA when ink leaves, relative to when ink arrives. RA responds less to the end of a
-touch. With the value 1, the previous stroke would be felt beside the present stroke."""
+"""Activation of RA when ink leaves an electrode, divided by that when ink arrives. RA responds less
+to the end of a touch. With 1, the previous stroke would be felt beside the present stroke."""
 FAINTEST_CHANGE = 0.15  # smallest change of ink that exceeds sensor noise
 
 
@@ -97,7 +97,7 @@ class NaturalDrive:
         touching: bool,
     ) -> None:
         """Set the rows RA and SAI of ``activation``, (3, E), from ink, (E,). If ``touching``
-        is false, all ink counts as change, and no part is sustained."""
+        is false, all ink counts as change (RA), and the row SAI is not set."""
         if self.last_ns is None or not touching:
             self._slow[:] = 0
         change, sustained = activation[Afferent.RA], activation[Afferent.SAI]
@@ -148,7 +148,7 @@ class TactileMapper:
         self._inverted = np.empty(self._registration.working_shape, np.uint8)
 
     def map(self, frame: Frame, mode: Mode) -> TactileImage:
-        """Return the activation of each electrode, in the rows of the mode's classes.
+        """Return the tactile image of a frame. Rows of classes that the mode does not use are zero.
 
         The tone curve converts the share of ink in an electrode's cell to activation. Raises
         ScheduleError for mode color, which needs stimuli.
