@@ -84,9 +84,9 @@ class Display(Closing):
 
     @contextmanager
     def opened(self, stop: StopRequest | None = None) -> Iterator[Board]:
-        """Open the board for a block. A stop sets the board to zero at once, also during opening.
+        """Open the board for a ``with`` block. A stop sets it to zero at once, also during opening.
 
-        After a signal, sending raises BoardStoppedError, so that the block ends.
+        After a signal such as SIGINT, sending raises BoardStoppedError, which ends the block.
         """
         command = current_command()
         stop, before = stop or command.stop, command.orderly

@@ -49,7 +49,7 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, checked_input
 
 HELD_UP_NS = 1_000_000
-"""Waits up to this length are ignored. A wait is the time of a send minus its processor time."""
+"""Shorter waits are ignored. A wait is the duration of a send minus its processor time."""
 _LATE_AGAIN_NS = 5_000_000_000  # late sequences less than this time apart are reported only once
 
 LOG = logging.getLogger("smarttouch.run")
@@ -175,7 +175,7 @@ class Controls:
             self._state = replace(self._state, **changes)
 
 
-NO_INK_NS = 5_000_000_000  # time without ink, from the first press until the user is advised
+NO_INK_NS = 5_000_000_000  # time from the first press to an `Advice` event, if there is no ink
 LIFT_NS = 300_000_000  # time at zero intensity after a lifted finger, before the ramp rises again
 
 
@@ -198,12 +198,12 @@ class Inputs:
     _last_seen: int | None = None
     _blind: bool = False
     _lifted_until_ns: int = 0
-    _inkless_since_ns: float | None = None  # first press without ink; infinity after the advice
+    _inkless_since_ns: float | None = None  # time of first press without ink; inf after `Advice`
 
     def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
-        """Return the input with the effective force, and the user's level. Return None at the end.
+        """Return the input, which has the effective force, and the user's level; None at the end.
 
-        ``time_ns`` is the time of the run, ``now_ns`` the time by the loop's clock.
+        ``time_ns`` is the time of the run, ``now_ns`` is the same moment by the loop's clock.
         """
         source, state = self.source, self.controls.state(time_ns)
         if state.mode is not self.pipeline.mode:
@@ -353,7 +353,7 @@ class Loop:
         self._start_ns: int | None = None
         self._zero_ns = 0  # start of the run by the loop's clock, plus all delays
         self._over_ns = 0  # end of the last sequence by the loop's clock
-        self._report_late_ns = 0  # time of the run before which late sequences are not reported
+        self._report_late_ns = 0  # time of the run from which late sequences are reported
         self._expected_ns: int | None = None
 
     def run(self) -> None:
@@ -443,7 +443,7 @@ class Loop:
             step, number, (sent_ns - in_hand_ns) / 1000, (over_ns - worked_ns) / 1000,
             board.acknowledged, board.refused, None if phase is None else phase.newest, since_ns,
         )  # fmt: skip
-        # A wait is the part of the send that is not processor time of the gate or of writing.
+        # The wait is the duration of the send minus the processor time of the gate and of writing.
         waited_ns = sent_ns - sending_ns - (over_ns - own_ns)
         sent = Sent(
             number or 0, in_hand_ns - step.input.age_ns, deadline_ns, self.elapsed_ns,

@@ -40,7 +40,7 @@ from smarttouch.sources.source_contract import (
 from smarttouch.stimulation.scheduler import force_gate
 
 STEADY = 0.98  # a level counts as reached at this share of the level
-SILENT_US = 20_000  # period of sequences without current, and of pulses that raise the ramp
+SILENT_US = 20_000  # period of sequences without current, and of weak pulses while the ramp rises
 _FAINT = 0.01  # activation of the first pulses of a ramp, near the detection threshold
 _POLL_S = 0.01  # interval at which a waiting thread checks whether it was canceled
 _IDLE_S = 0.045  # longest time between sequences while `put` shows a pattern without current
@@ -263,7 +263,7 @@ class Program(Source, Listener):
         least: float,
         exact: bool,
     ) -> Shown:
-        """Send a pattern for some time, after the ramp has reached the level."""
+        """Send a pattern for ``seconds``, or until ``level`` returns None."""
         self._count += 1
         begun_ns, clock_ns, first = self.now_ns, time.monotonic_ns(), None
         sequences, pulses, intensity, current_ma = 0, 0, 1.0, 0.0
@@ -294,11 +294,11 @@ class Program(Source, Listener):
         return Shown(begun_ns, clock_ns, board_us, sequences, pulses, intensity, current_ma, 0.0)
 
     def wait(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
-        """Wait without current, in the time of the run. Patterns of `put` are not shown.
+        """Wait without current. During the wait, patterns of `put` are not shown.
 
         Parameters
         ----------
-        seconds : float, s
+        seconds : float, s, in the time of the run
         until : callable, optional
             Function that returns true to end the wait; called 50 times a second.
         """
@@ -403,8 +403,8 @@ class Program(Source, Listener):
 
     @contextmanager
     def _turn(self, waits: bool = True) -> Iterator[Loop]:
-        """Wait until no other thread shows a pattern, and yield the loop. The next deadline is now.
-        If ``waits``, patterns of `put` give way to this turn."""
+        """Wait until no other thread shows a pattern, set the next deadline to now, and yield the
+        loop. If ``waits``, the thread of `put` stops sending to let this thread begin."""
         waiting = [object()] * waits
         self._waiting.extend(waiting)
         self._news.set()

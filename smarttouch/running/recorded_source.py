@@ -28,7 +28,7 @@ class RecordingSource(Source):
     An input that was sent as several sequences counts once. Inputs recorded as stale are stale.
     """
 
-    knows_force = True  # recorded force counts only on boards without a finger
+    knows_force = True  # only boards without a finger use the recorded force
 
     def __init__(self, recording: RecordedRun) -> None:
         super().__init__(recording.path.name)

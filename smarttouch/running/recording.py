@@ -207,7 +207,7 @@ class RecordedRun:
 
     @cached_property
     def events(self) -> list[tuple[int, str]]:
-        """Time, ns since the start of the run, and text of each event."""
+        """For each event: its time, ns since the start of the run, and its text."""
         return [(time_ns, content["message"]) for time_ns, content in self.contents("/event")]
 
     def messages(self) -> Iterator[tuple[str, Message]]:

@@ -1,6 +1,6 @@
 """Format of recordings: description of a run, and conversion of steps to JSON messages and back.
 
-The format preserves exactly everything that sequences depend on.
+The format stores, without any loss, all data that sequences depend on.
 """
 
 import base64

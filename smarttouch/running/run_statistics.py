@@ -85,9 +85,9 @@ class RunStatistics:
     """Number of sequences without current because force or image were unknown."""
     active: float = 0.0
     off_target: float = 0.0
-    """Largest off-target activation of shared slots."""
+    """Largest off-target activation in slots with several points."""
     spill: float = 0.0
-    """Largest spill of shared slots."""
+    """Largest spill in slots with several points."""
     kernels: KernelBank | None = None
     """Kernel bank of the run."""
     modes: set[Mode] = field(default_factory=set)
@@ -108,7 +108,7 @@ class RunStatistics:
     work: LatencyHistogram = field(default_factory=LatencyHistogram)
     """Processor time of the loop for one step."""
     period_error: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """Deviation of the time between two steps from the period."""
+    """Absolute difference between the actual and the expected start of a step."""
     ended: str = ""
     """Reason for the end of the run."""
     notes: list[str] = field(default_factory=list)
@@ -149,8 +149,8 @@ class RunStatistics:
 
     @property
     def selectivity(self) -> tuple[float, float] | None:
-        """Largest off-target activation and largest spill of all shared slots, and of all kernels
-        for the used modes. None if unknown."""
+        """Largest off-target activation and largest spill of the kernels for the used modes, and
+        of all slots with several points. None if unknown."""
         bank, other, spill = self.kernels, self.off_target, self.spill
         if bank is None or bank.discs:
             return (other, spill) if other or spill else None
@@ -240,10 +240,10 @@ class Sent:
 class PhaseLock:
     """Phase lock, which moves a loop's deadlines later, so that images are as fresh as possible.
 
-    The board reports when it starts each sequence. The deadline of a sequence should precede
-    its start by the sum of transfer time, usual delay of sending, and `GUARD_NS`. If a deadline is
-    too early, all following deadlines move later. Deadlines never move earlier. After a late
-    deadline, the board starts all sequences later.
+    The board reports when it starts each sequence. The deadline should precede this start by the
+    sum of transfer time, usual delay of sending, and `GUARD_NS`. If a deadline is too early, all
+    following deadlines move later. Deadlines need not move earlier: if a deadline is too late, the
+    board starts this sequence and all later sequences later.
     """
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:
@@ -251,15 +251,15 @@ class PhaseLock:
         self._pending: deque[Sent] = deque(maxlen=8)
         self._delays_ns: deque[int] = deque(maxlen=64)
         self._transfers: deque[tuple[int, int]] = deque(maxlen=8)
-        """Number and transfer time, ns, of each recent sequence that arrived at an idle board."""
+        """Sequence number and transfer time, ns, of recent sequences that reached an idle board."""
         self._free_ns: int | None = None
-        """Expected end of the newest sequence whose start is known, by the loop's clock."""
+        """Expected end, by the loop's clock, of the newest sequence with a known start."""
         self.newest: FirstPulse | None = None
-        """First pulse of the newest sequence whose start was reported since the last step."""
+        """Newest `FirstPulse` that the board reported since the last step, or None."""
 
     def follow(self, zero_ns: int, sent: Sent | None = None) -> int:
-        """Store the sent sequence, and return the time by which deadlines must move later, ns.
-        ``zero_ns`` is the start of the run by the loop's clock."""
+        """Store the sent sequence. Return the delay, ns, to add to all later deadlines. ``zero_ns``
+        is the start of the run by the loop's clock, plus all earlier delays."""
         if sent is not None:
             self._delays_ns.append(sent.sent_ns - sent.waited_ns - sent.deadline_ns)
             self._pending.append(sent)
@@ -285,7 +285,7 @@ class PhaseLock:
                 self._transfers.append((number, waited_ns))
                 transfer_ns = max(transfer_ns, waited_ns)
             self._free_ns = begun_ns + earlier.period_ns
-            # Delay of sending that 19 of 20 recent sequences did not exceed.
+            # 95th percentile of the recent delays of sending.
             delay_ns = sorted(self._delays_ns)[-1 - len(self._delays_ns) // _ONE_LATE_IN]
             lead_ns = begun_ns - zero_ns - earlier.elapsed_ns
             more_ns = max(0, lead_ns - transfer_ns - delay_ns - GUARD_NS)

@@ -88,8 +88,8 @@ class StepResult:
         Real time from the start of the run to the start of the step, including all delays; -1 if
         unknown.
     first_pulse : FirstPulse or None
-        First pulse of the latest sequence whose start the board has reported since the previous
-        step. None if the board has reported no start.
+        First pulse of a sequence, reported by the board since the previous step. If the board
+        reported several, the newest. If it reported none, None.
 
     Examples
     --------
