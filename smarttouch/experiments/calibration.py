@@ -288,7 +288,7 @@ FEWEST_READINGS = 5
 MOST_MISSING = 0.5  # largest allowed share of readings that are not numbers
 MOST_RESIDUAL = 0.05  # largest allowed rms residual of the line, relative to full force
 MOST_DRIFT = 0.03  # largest allowed drift of the reading under one weight, relative to full force
-LEAST_REACH = 0.5  # smallest allowed force of the heaviest weight, relative to full force
+LEAST_REACH = 0.5  # the heaviest weight must reach at least this share of full force
 
 
 class Cell(Protocol):
@@ -371,8 +371,8 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
     good = raw[np.isfinite(raw)]
     if len(good) < FEWEST_READINGS or len(good) < (1 - MOST_MISSING) * len(raw):
         raise CalibrationError(
-            f"{len(good)} of {len(raw)} readings at {grams:g} g are numbers, but at least "
-            f"{FEWEST_READINGS}, and at least half of all, must be: check the connections of the "
+            f"only {len(good)} of {len(raw)} readings at {grams:g} g are numbers (needed: at least "
+            f"{FEWEST_READINGS}, and at least half of the readings): check the connections of the "
             "cell, or read longer (--seconds)"
         )
     middle, spread = middle_and_spread(good)

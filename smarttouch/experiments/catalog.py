@@ -43,7 +43,7 @@ PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
 _NARROWEST_RATIO = 1.01  # smallest ratio of comparison to standard in adaptive procedures
 _START_RATIO = 1.6  # first ratio of comparison to standard in a staircase
 _STEP = 0.03
-"""Relative step down of a frequency staircase, far below the threshold for vibration (20 %)."""
+"""Relative step down in a frequency staircase. The difference threshold of vibration is 20 %."""
 LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
 """Levels of the detection experiment, relative to the profile's threshold (our own choice)."""
 _DETECTION_STEP = 0.05  # relative step down of a detection staircase
@@ -222,7 +222,7 @@ def softness(setup: Setup) -> Trials:
     """Ask which of two points is softer while the finger moves (paper, Section III-B.2).
 
     One point feels hard, because its pulse rate follows the finger's force. The comparison is the
-    softness of the other point. At softness 1, its pulse rate is constant.
+    softness of the other point. At softness 1, the pulse rate is constant.
     """
     if setup.afferent is not Afferent.SAI:
         raise ExperimentError("softness is felt through SAI: give --mode SAI")

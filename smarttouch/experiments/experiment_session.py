@@ -17,7 +17,7 @@ from smarttouch.experiments.procedures import LIMITS, middle_and_spread
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import Answer, Setup, Trial, Trials
 
-_TOLERANCE = 1e-6  # largest allowed error, relative or absolute, of a condition read from a file
+_TOLERANCE = 1e-6  # values of a condition match if their relative or absolute difference is smaller
 
 
 @dataclass
@@ -97,7 +97,7 @@ class ExperimentSession:
                 words = f"median of {len(successes)} trials; spread {spread:.3f} mA"
                 yield f"strong enough at {middle:.3f} mA ({words})"
             if len(successes) < len(rows):
-                yield f"largest current not strong enough in {len(rows) - len(successes)} trials"
+                yield f"in {len(rows) - len(successes)} trials the largest current was too weak"
         elif missing < len(rows):
             yield f"fit the answers: smarttouch experiment fit {self.file.path}"
 

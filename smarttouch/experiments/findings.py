@@ -1,4 +1,4 @@
-"""Thresholds for each standard, or the reason why there is none. Tables and figures."""
+"""Threshold for each standard, or the reason why it has none; tables and figures of results."""
 
 import math
 from collections.abc import Sequence
@@ -172,8 +172,8 @@ def _chance_of_flat(fitted: Fit, share: float) -> float:
 def _guessing(answers: Answers, model: Model) -> float:
     """Return the share of successes of a participant who guesses.
 
-    If a success is a correct answer, the share is known. Otherwise return the observed share. The
-    test is then weaker, because adaptive procedures keep the observed share nearly constant.
+    If a success is a correct answer, the share is known. Otherwise return the observed share. Then
+    `_chance_of_flat` is a weaker test: adaptive procedures keep the observed share nearly constant.
     """
     if not isinstance(model.guess, str) and model.guess > 0:
         return model.guess
@@ -283,8 +283,8 @@ def discrimination_figure(series: Sequence[Series]) -> "Figure":
 
 
 def _draw_shares(axes: Any, finding: Finding, unit: float, color: str, label: str) -> None:
-    """Draw shares of successes as dots, the fitted curve, and the interval of the threshold. Larger
-    dots have more answers. The abscissa is the stimulus divided by ``unit``."""
+    """Draw the fitted curve, the interval of the threshold, and the shares of successes as dots.
+    Larger dots have more answers. The abscissa is the stimulus divided by ``unit``."""
     stimulus, n, k = finding.counts
     size = 8 + 2 * np.minimum(n, 10)
     axes.scatter(stimulus / unit, k / n, size, color=[color], label=label, lw=0, zorder=3)

@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 
 BASE_WEBER = 0.125
 """Weber fraction, at 75 % correct answers, of a participant who perceives the true pulse rate. Our
-choice: simulated Weber fractions in RA mode are then below 20 % up to 45 Hz (paper, III-C)."""
+choice keeps Weber fractions in RA mode below 20 % up to 45 Hz, as in the paper (III-C)."""
 RA_LIMIT_HZ = 65.0
 """Highest frequency perceived without PC spikes. Our choice: in the paper, the bands of RA and PC
 overlap from 60 to 70 Hz, and 65 Hz is the middle."""
@@ -72,10 +72,10 @@ def _learned() -> tuple[Array, Array]:
 
 
 def believable_hz(ratio: float) -> float:
-    """Return the frequency, Hz, of a mechanical vibration that evokes a ratio of PC to RA spikes.
+    """Return the highest frequency, Hz, that is perceived at a ratio of PC to RA spikes.
 
-    No higher frequency is perceived at this ratio. A vibration evokes the ratio of the sensitivity
-    of PC to the sensitivity of RA (paper, Fig. 2). Without PC spikes, return `RA_LIMIT_HZ`.
+    At this frequency of vibration, the sensitivity of PC divided by the sensitivity of RA equals
+    the ratio (paper, Fig. 2). Without PC spikes, return `RA_LIMIT_HZ`.
     """
     hz, ratios = _learned()
     return float(np.interp(ratio, ratios, hz))
@@ -254,7 +254,7 @@ class SimulatedObserver:
         return self._larger(perceived, SPREAD)
 
     def _side(self, intervals: Sequence[Interval]) -> str | None:
-        """Return on which side of the first point the second point is perceived: l or r."""
+        """Return whether the second point is perceived left (l) or right (r) of the first point."""
         at_mm = [self._nerve.of(interval).center_mm[0] for interval in intervals]
         if any(math.isnan(x_mm) for x_mm in at_mm):
             return None

@@ -101,7 +101,7 @@ def constant_stimuli(
             "least one of each"
         )
     random = np.random.default_rng([seed, len(pairs), repetitions])
-    # If `repetitions` is odd, half of the pairs get one more trial with the comparison first.
+    # If `repetitions` is odd, half of the pairs have the comparison first once more than second.
     balanced = (np.arange(repetitions) + np.arange(len(pairs))[:, None]) % 2 + 1
     interval = random.permuted(balanced, axis=1) * two_intervals
     plan = [

@@ -23,13 +23,13 @@ Guess = float | Literal["equal", "free"]
 MOST_LAPSES = 0.1
 """Largest lapse rate (our own choice). Lapses are answers that do not depend on the stimulus."""
 MOST_GUESSES = 0.5
-"""Largest fitted guess rate: share of trials without a stimulus that are answered *felt*."""
+"""Largest guess rate, if it is fitted. Guesses are answers *felt* in trials without a stimulus."""
 QUANTILES = (0.5, 0.025, 0.975)
 """Quantiles of the posterior: the estimate and the ends of its 95 % interval."""
 _MIDDLES, _SPREADS, _LAPSES, _GUESSES = 151, 21, 5, 6
 _NARROWEST, _WIDEST = 1 / 40, 1.0
-"""Smallest and largest spread on the grid, relative to the range of comparisons. Our choice: for 92
-to 98 % of simulated subjects, the 95 % interval then contains the true threshold."""
+"""Smallest and largest spread on the grid, relative to the range of comparisons. Our choice: with
+these limits, the 95 % interval contains the true threshold of 92 to 98 % of simulated subjects."""
 _EDGE = 0.05
 """Margin at the edge of the grid, relative to the range of comparisons. If a credible interval
 ends in this margin, the end counts as undetermined."""
@@ -80,8 +80,8 @@ class Model:
         floor = 0.0 if isinstance(self.guess, str) else self.guess
         if not 0 <= floor < 1 - 2 * self.most_lapses:
             raise ExperimentError(
-                f"a guess rate of {floor:g} is out of range: give 0 to below "
-                f"{1 - 2 * self.most_lapses:g}"
+                f"a guess rate of {floor:g} is out of range: give at least 0 and "
+                f"less than {1 - 2 * self.most_lapses:g}"
             )
         if self.at is not None and not floor < self.at < 1:
             raise ExperimentError(
@@ -157,7 +157,7 @@ class Fit:
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Posterior mean of each parameter, (1,). `middle` instead follows from the threshold."""
+        """Estimates, (1,): `middle` from the median threshold, the others as posterior means."""
         _, spread, lapse, guess = self.functions
         spread = np.exp([self.weights @ np.log(spread)])
         middle = self._quantiles(self.model.level)[0] - ndtri(self.model.level) * spread
@@ -178,7 +178,7 @@ class Fit:
         return np.asarray(self.model.probability(self.model.axis(stimulus), self.parameters)[0])
 
     def _quantiles(self, part: float) -> Array:
-        """Return posterior `QUANTILES` of the x at which the cumulative normal F is ``part``."""
+        """Return the posterior `QUANTILES` of `Model.place`, the x at which F equals ``part``."""
         position = self.model.place(part, self.functions)
         order = np.argsort(position)
         below = np.cumsum(self.weights[order]) - self.weights[order] / 2
@@ -188,8 +188,8 @@ class Fit:
 def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
     """Fit psychometric functions to answers at two or more comparisons.
 
-    Priors are uniform for the middle, the logarithm of the spread, the lapse rate and a free guess
-    rate. The grid of middles is three times as wide as the range of comparisons and standard.
+    Priors are uniform for the middle, the logarithm of the spread, the lapse rate and, if it is
+    free, the guess rate. The grid of middles is three times as wide as the range `Fit.ends`.
     """
     x = model.axis(counts.stimulus)
     finite = model.axis([*counts.stimulus, standard or counts.stimulus[-1]])

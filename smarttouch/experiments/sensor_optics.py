@@ -86,8 +86,8 @@ class OpticsFound:
         """Return the sentence that the profile stores about this result."""
         columns, rows = self.field.gain.shape[::-1]
         return (
-            f"{columns} × {rows} pixels, blank paper uneven by {self.uneven_before:.1%} before and "
-            f"{self.uneven_after:.1%} after, {self.field.broken} dead or hot pixels"
+            f"{columns} × {rows} pixels, unevenness of blank paper {self.uneven_before:.1%} before "
+            f"and {self.uneven_after:.1%} after correction, {self.field.broken} dead or hot pixels"
         )
 
 
@@ -105,7 +105,7 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
 
 
 def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
-    """Return the unevenness of every second frame, after correction by the other frames."""
+    """Return the unevenness that remains in half of the frames, corrected with the other half."""
     if min(len(dark), len(white)) > 1:
         field = FlatField.measure(dark[::2], white[::2])
         white = white[1::2]
@@ -210,7 +210,7 @@ class RegistrationFound:
     # (3, 3): maps points on the page, mm from the array's middle, to pixels of the image
     homography: NDArray[np.float64]
     shape: tuple[int, int]  # rows and columns of the image
-    electrode_pixel: NDArray[np.float64]  # (E, 2): column and row of the image under each electrode
+    electrode_pixel: NDArray[np.float64]  # (E, 2): column and row of the pixel under each electrode
     markers: int  # number of markers recognized
     correlation: float  # correlation of image and target; 1 if they are equal
 

@@ -175,7 +175,7 @@ def rows_of_letters(
     name: str,
     seed: int,
 ) -> list[StudyRow]:
-    """Return the rows of one finger for all letters and all combinations with its profile."""
+    """Return the rows of one finger: one row for each letter of each combination in ``shown``."""
     known, rows = letter_templates(profile), []
     # With one BLAS thread the results are equal on every machine.
     with threadpool_limits(limits=1, user_api="blas"):
@@ -295,8 +295,8 @@ def _stored_rows(path: Path) -> list[StudyRow] | None:
 MEASURES = ("error", "silent_points", "wrong_class", "misplaced")
 TABLE_NOTE = (
     "Shares of misread letters (errors), points without a spike nearby (silent), spikes of other "
-    "classes (wrong) and spikes away from the letter (misplaced). Shares are means over letters; "
-    "the table shows their median and middle 90 % over fingers. mA: mean total current of a slot."
+    "classes (wrong) and spikes away from the letter (misplaced), as means over letters. The table "
+    "shows the median and the middle 90 % over fingers. mA: mean total current of a slot."
 )
 _CHOSEN = ("profile", "mode", "scan", "intensity")
 

@@ -31,7 +31,7 @@ REACTION_S = 0.35  # reaction time: the threshold is the current 0.35 s before t
 PAUSE_S = (1.0, 2.0)
 """Range of the random pause before a run, s. With a fixed pause, participants could count time."""
 START_SHARE = (0.4, 0.7)
-"""Range of a random share. Later runs rise fast to this share of the lowest threshold so far."""
+"""Range of a random share. Runs after the first rise fast to this share of the lowest threshold."""
 LEAP = 10  # slope of the fast rise (see `START_SHARE`), divided by the slope after it
 CEILING_S = 1.0  # a run ends after this time at the largest current
 MOST_APART = 1.4  # more runs follow if the thresholds of two runs have a larger ratio
@@ -110,7 +110,7 @@ class AscendingLimits:
 
     ceiling_ma: float  # largest current of a run
     expected_ma: float  # expected threshold; sets the slope of the current
-    repeats: int = 3  # number of runs, if their thresholds agree
+    repeats: int = 3  # number of runs; up to `EXTRA_RUNS` follow if their thresholds differ
     fastest_ma_s: float = float("inf")  # largest slope of the current
     seed: int | tuple[int, ...] = 0  # seed of the random pauses and shares (`START_SHARE`)
 

@@ -208,7 +208,7 @@ class TrialSource(Program):
                     self._pressed.popleft()
             if self._wanted is None:
                 return None
-            # The gate limits the first level above zero to what the ramp reaches in `FIRST_NS`.
+            # The gate limits the first nonzero level to the rise of the ramp in `FIRST_NS`.
             risen_ns = min(since_ns - before_ns, MOST_STEP_NS) if level else FIRST_NS
             most_level = level + risen_ns / 1e9 / self._profile.limits.ramp_s
             level, before_ns = min(1.0, self._wanted / full_ma, most_level), since_ns

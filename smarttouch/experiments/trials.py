@@ -55,8 +55,8 @@ class Train:
 
 Course = Generator[float, bool | None, Any]
 """Generator that sets the current of one electrode from key presses. Every `STEP_S` it yields a
-current, mA, and receives whether a key was pressed. It receives None if the current was lost and
-rises from zero again. `Answer.found` is its return value; a string is also the response."""
+current, mA, and receives whether a key was pressed. It receives None if the current was lost; then
+the current rises from zero. Its return value is `Answer.found`; a string is also the response."""
 
 
 @dataclass(frozen=True, eq=False)
