@@ -45,8 +45,8 @@ class Adaptation:
         self._switched = profile.output.kind != "weighted"
         self._near_v = NEAR * compliance_v
         longest = profile.pulse.width_us / profile.limits.pulse_us
-        # Lower bound of `_highest_ua`. A lower value would not change pulses at full intensity, but
-        # would take longer to rise.
+        # Smallest value of `_highest_ua`. At full intensity, a smaller value would give the same
+        # pulses, and would take longer to rise.
         self._least_ua = longest * np.asarray(profile.threshold_ma, np.float64) * 1000
         self._highest_ua = np.full(sites, np.inf)
         self._first_kohm = np.full(sites, np.nan)

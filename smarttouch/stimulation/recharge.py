@@ -52,12 +52,12 @@ class ChargeBalance:
         self.charge_pc += times * net_charge_pc(sequence)
 
     def balancing(self, sequence: ScanSequence) -> ScanSequence:
-        """Return a sequence or its reversal, whichever leaves the smaller sum of squared charges.
+        """Return a sequence or its reversal: the one after which Σ (net charge)² is smaller.
 
         Use this for boards of both polarities that cannot make recharge phases (`add_recharge`).
         The reversal has opposite currents at the same sites, and keeps the same limits. **The
         reversal stimulates another class**: reversed currents for RA stimulate SAI, and vice versa
-        (paper, Fig. 10). The reversal has no proof of selectivity. The ledger does not change.
+        (paper, Fig. 10). The reversal has no proof of selectivity. `charge_pc` does not change.
         """
         if self.charge_uc @ (net_charge_pc(sequence) * 1e-6) <= 0:
             return sequence

@@ -31,8 +31,8 @@ to zero at this strength, the scheduler plans a larger one."""
 MOST_STEP_NS = 80_000_000
 """Plans increase the strength by at most the rise of the ramp in this time, ns."""
 AHEAD_NS = 85_000_000
-"""Plans exceed the ramp's level by at most the rise of the ramp in this time, ns. The gate allows
-the rise in 100 ms, so that late sequences can catch up."""
+"""Planned strengths exceed the ramp's level by at most the rise of the ramp in this time, ns. The
+gate allows the rise in 100 ms, so that late sequences can catch up."""
 
 _ARRAYS = (
     ("current_ua", np.dtype(np.int16), 2, True),
@@ -42,12 +42,11 @@ _ARRAYS = (
     ("vibration", np.dtype(np.float32), 1, False),
     ("recharge_ua", np.dtype(np.int16), 1, False),
 )
-"""Name, type and number of dimensions of each array of a sequence. The last entry is True if the
-array has one row for each slot, and False if the array may be None."""
+"""Name, type and number of dimensions of each array of a sequence. The last entry is True for
+arrays with one row for each slot. The other arrays may be None."""
 
 WAITS_NS = 5_000_000_000
-"""`SafetyGate.repeated` allows at least this delay, ns. A board needs more than 2 s to
-resynchronize after a lost command."""
+"""`SafetyGate.repeated` allows at least this delay, ns. Resynchronizing a board takes over 2 s."""
 
 
 class Ramp:
@@ -56,8 +55,9 @@ class Ramp:
     The level rises only while passes with current are delivered, and never above their strength
     (see `sequence_limits.strength_ppb`). The rise from zero to full takes at least ``ramp_ns``. A
     sequence may exceed the level by the rise of the ramp in `LATE_NS`, so that late sequences can
-    catch up. A lower intensity lowers the level. After `LEVEL_KEPT_NS` without current, the level
-    is zero. Without a ``clock``, the times of the sequences are used.
+    catch up. A sequence of lower intensity lowers the level to this intensity. After
+    `LEVEL_KEPT_NS` without current, the level is zero. Without a ``clock``, the times of the
+    sequences are used.
     """
 
     def __init__(self, ramp_ns: int, clock: Clock | None = None) -> None:
@@ -126,10 +126,10 @@ class Ramp:
             return strength_ppb <= most_ppb
 
     def note(self, ppb: int, strength_ppb: int, claimed_ns: int, lasting_ns: int) -> None:
-        """Record a written sequence of intensity ``ppb``. A higher level falls to this intensity.
-        During the passes, for ``lasting_ns``, the level rises, at most to ``strength_ppb``."""
+        """Record a written sequence. A level above the intensity ``ppb`` falls to ``ppb``.
+        Then the level rises during the passes, for ``lasting_ns``, at most to ``strength_ppb``."""
         with self.lock:
-            # When a sequence arrives, the board finishes the current pass and drops later ones.
+            # The board finishes the running pass of the old sequence and drops its other passes.
             now_ns, open_ppb = self.open_at(claimed_ns)
             gone_ns = max(0, now_ns - self._since_ns)
             left_ns = self._left_ns - gone_ns
@@ -192,7 +192,7 @@ class SafetyGate:
     def __init__(self, limits: SafetyLimits, clock: Clock | None = None) -> None:
         self.limits: SafetyLimits = limits
         self.ramp: Ramp = Ramp(limits.ramp_ns, clock)
-        """Ramp of the strength of sequences. It limits plans, and `prove` checks it."""
+        """Ramp of strength. Schedulers plan within the ramp; `prove` and the driver check it."""
         self.session: int = 0
         """Number of the present session; boards reject sequences of other sessions."""
         self._clock = clock

@@ -329,10 +329,10 @@ _SENTENCES = {
     "charge is {value:g} µC, and must be between 0 and {allowed:g} µC",
     "passes": "{value} sequences would be delivered within a second, and limits.rate_hz allows "
     "{allowed}: send sequences less often",
-    "pulses_hz": "electrode {electrode}: {value:g} perceptible pulses in a pass or a second "
-    "are above the limit of {allowed:g}: lower the rate",
-    "mean_ma": "electrode {electrode}: {value:g} µC in a pass or a second are above the limit of "
-    "{allowed:g} µC: lower the rate",
+    "pulses_hz": "electrode {electrode}: {value:g} perceptible pulses within one pass or one "
+    "second are above the limit of {allowed:g}: lower the rate",
+    "mean_ma": "electrode {electrode}: {value:g} µC within one pass or one second are above the "
+    "limit of {allowed:g} µC: lower the rate",
     "net_ma": "electrode {electrode}: the net charge in a second would be {value:g} µC, above the "
     "limit of {allowed:g} µC: lower the rate, or add recharge phases",
     "order": "the sequence has time {value} ns, which is not after the previous sequence: the time "
@@ -350,7 +350,7 @@ _LIMITS = {
     "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
     "order": "time_ns",
 }  # fmt: skip
-"""Names of limits (`SafetyError.limit`) for the keys of `_SENTENCES` that are not such names."""
+"""Name of the limit (`SafetyError.limit`) for keys of `_SENTENCES` that differ from it."""
 
 
 def refusal(

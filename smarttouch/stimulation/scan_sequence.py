@@ -43,7 +43,7 @@ PER_UA = 4  # amplitudes are in quarters of a µA
 PEAK = 32_767  # largest magnitude of a kernel's weights
 SHIFT = 17  # weight times amplitude, divided by 2^17, is the current in µA
 _HEAD = struct.Struct("<HH")
-_SHORTEST_GAP = 3  # smallest number of zeros between runs; fewer zeros are stored in a run
+_SHORTEST_GAP = 3  # this many zeros, or more, end a run; fewer zeros are stored in the run
 _OFFSET = 1 << 30  # larger than the total current of any slot, µA; a multiple of 2^16
 
 Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
@@ -89,7 +89,7 @@ class KernelTable:
 
     @cached_property
     def so_far_ua(self) -> NDArray[np.float64]:
-        """Cumulative sums of each kernel's currents over electrodes, (K, E) µA, at amplitude 1."""
+        """Sums of each kernel's currents up to each electrode, (K, E) µA, at amplitude 1."""
         # Scaling by a power of two is exact.
         return np.cumsum(self.weights, axis=1, dtype=np.float64) * 2.0**-SHIFT
 

@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 SLOWEST = 0.2
 """Share of the full pulse rate at the lightest touch of a hard object. It reduces 50 Hz to 10 Hz,
 the lowest rate in the paper's experiments (Section III-B.2)."""
-_ON_TIME = 0.25  # a pulse that is later than this share of its interval restarts the time grid
+_ON_TIME = 0.25  # a pulse delayed by more than this share of its interval restarts the time grid
 _SLOWEST_HZ = 0.1
 
 
@@ -154,7 +154,7 @@ class PulseRates:
             next_ns.append(due_ns)
         if not next_ns:
             raise ScheduleError(
-                "mode color needs stimuli with a period, and this source has none: choose mode RA"
+                "mode color needs a stimulus period, and this source has no period: choose mode RA"
             )
         return tuple(now), max(self._merge_us, round((min(next_ns) - time_ns) / 1000))
 
@@ -220,7 +220,7 @@ class NetPlan:
                 # Count one more pass, because the window can also include parts of passes.
                 needed_us = max(needed_us, WINDOW_US / 1.1 * mean_pc / (_MEAN_PC - mean_pc))
             if carried_pc + mean_pc < GUARD_PC:
-                # Use the rest of the limit evenly until the oldest pass is `WINDOW_US` old.
+                # Spread the rest of the limit evenly until the oldest pass is `WINDOW_US` old.
                 left_us = WINDOW_US - span_us
                 needed_us = max(needed_us, left_us * mean_pc / (GUARD_PC - carried_pc))
         if self._newest_at_most_pc + most_pc > GUARD_PC:
@@ -233,7 +233,7 @@ class NetPlan:
         return needed_us
 
     def _newest(self, net_pc: Array) -> Array:
-        """Return |net charge|, (N + 1, E). Row n adds up ``net_pc`` and the last n passes."""
+        """Return |net charge|, (N + 1, E). Row n: ``net_pc`` + net charge of the last n passes."""
         passes = (earlier.net_pc for earlier in reversed(self._passes))
         return np.asarray(np.abs(np.cumsum([net_pc, *passes], axis=0)))
 
@@ -253,8 +253,8 @@ class ScanScheduler:
     """Converter of tactile images to scan sequences (paper, Section IV-A, Fig. 19). Each active
     point of a class takes at most one slot.
 
-    `rate_hz` is the rate of a single class. Several classes have the profile's rates. `softness`,
-    in [0, 1], reduces the effect of force on the SAI rate. If `vibrated`, mechanical vibrators
+    `rate_hz` is the pulse rate if only one class is stimulated (see `rates_of`). `softness`, from
+    0 to 1, reduces the effect of force on the SAI rate. If `vibrated`, mechanical vibrators
     stimulate PC, and this class gets no current. `asked_us` is the last requested period. To limit
     net charge, a sequence can get a longer period (counted by `net_slowed`) or lose all slots
     (counted by `net_emptied`).
@@ -326,10 +326,10 @@ class ScanScheduler:
 
         The requested period is extended if the slots do not fit. Zero intensity gives no slots.
         Intensity is lowered until strength (`strength_ppb`) is at most ``allowed``, in [0, 1]. If
-        all currents then round to zero, larger strengths are tried, up to the rise of the ramp in
-        `MOST_STEP_NS`. The SAI rate follows pressure. If the image has a period, each active class
-        pulses once per period. Raises ScheduleError if the limits do not allow the sequence, or if
-        a class cannot be stimulated.
+        all currents then round to zero, larger strengths are tried. The largest is the strength
+        that the ramp reaches from zero in `MOST_STEP_NS`. The SAI rate follows pressure. If the
+        image has a period, each active class pulses once per period. Raises ScheduleError if the
+        limits do not allow the sequence, or if a class cannot be stimulated.
         """
         if image.period_us is None:
             due, self.asked_us = self._rates.due(image.time_ns, pressure)
@@ -407,7 +407,7 @@ class ScanScheduler:
         return slots, intensity
 
     def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Afferent, ...]:
-        """Return the active classes of an image with a period."""
+        """Return the active classes of an image that has `period_us`."""
         if period_us < self._least_us:
             raise ScheduleError(
                 f"pulses {period_us} µs apart are not possible: the profile's limit of "

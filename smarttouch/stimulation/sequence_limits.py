@@ -159,7 +159,7 @@ def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, i
 
 
 def _prove_vibration(vibration: NDArray[np.float32], intensity: float, electrodes: int) -> None:
-    """Raise SafetyError unless each electrode has a vibration from 0 to the intensity."""
+    """Raise SafetyError unless each electrode has a value between 0 and the intensity."""
     if vibration.shape != (electrodes,):
         raise refusal("vibration", len(vibration), electrodes)
     # Convert to double precision, the type of the intensity. NaN fails the comparison.
@@ -232,7 +232,7 @@ class _Pass(NamedTuple):
     start_ns: int
     end_ns: int
     sums: Sums
-    most: float  # largest of `sums[:2]`; no net charge × `PER_PC` is larger
+    most: float  # upper bound of `sums[:2]` and of |net charge| × `PER_PC`
 
 
 class _Sent(NamedTuple):
@@ -244,8 +244,8 @@ class _Sent(NamedTuple):
     flows: bool
 
     def cut_short(self, now_ns: int) -> tuple[int, list[_Pass], int]:
-        """Return the time at which a new sequence begins if it is sent at ``now_ns``. Also return
-        this sequence's recent passes, except the first, and the number of passes it loses."""
+        """Return when a new sequence begins that is sent at ``now_ns``, the recent passes of the
+        old sequence without its first pass, and how many passes of the old sequence are dropped."""
         # The board delivers the first pass even if this pass has not begun at `now_ns`.
         first, period_ns = self.first, self.period_ns
         begun = max(1, min(self.times, (now_ns - first.start_ns) // period_ns + 1))
@@ -281,7 +281,7 @@ class Exposure:
 
     @property
     def dose(self) -> Dose:
-        """Dose of the session so far, including repetitions that are still to come."""
+        """Dose of the session. It includes repetitions of the last sequence that are to come."""
         charge_mc = self._session[1] / (PER_PC * 1e9)
         net_uc = self._session[2] / 1e6
         return Dose(self._session_ns / 1e9, tuple(charge_mc.tolist()), tuple(net_uc.tolist()))
@@ -292,7 +292,7 @@ class Exposure:
         return np.asarray(self._session[2], np.int64)
 
     def begin_session(self, now_ns: int | None) -> None:
-        """Reset the dose. Passes that have begun still count in the limits of a second."""
+        """Reset the dose. Passes that have begun still count toward the limits per second."""
         if now_ns is not None and self._last is not None:
             for scan in self._last.cut_short(now_ns)[1]:
                 self._window.append(scan)
@@ -382,8 +382,8 @@ class Exposure:
         """Raise SafetyError if any second would exceed a limit.
 
         Count the passes in `_window`, the ``repeated`` passes of the previous sequence, and
-        ``checked`` passes of the new sequence, one period apart. Return the largest net charge (×
-        `PER_PC`) of the latest n passes before the new sequence, over all n.
+        ``checked`` passes of the new sequence. Return the largest |net charge| × `PER_PC` to which
+        the last passes before the new sequence add up, however many are counted.
         """
         recent = [scan for scan in (*self._window, *repeated) if scan.end_ns > now_ns - WINDOW_NS]
         passes = sum(scan.start_ns > now_ns - WINDOW_NS for scan in recent) + 1

@@ -54,7 +54,7 @@ at intensities of `FrameSlots.certain_from` or more."""
 
 
 class FrameSlots:
-    """Maker of slots in which independent sites share a slot.
+    """Maker of slots that stimulate several independent sites at once.
 
     A shared slot is a sum of kernels. Each subset of its kernels is proved to keep the profile's
     bounds on off-target and spill. Points without a proof get separate slots. Below the intensity
@@ -121,9 +121,9 @@ class FrameSlots:
         """Return slots and their selectivity, for the activation of a class, (E,), at an intensity.
 
         The faintest activation gives the threshold current times intensity. Full activation gives
-        the comfort level times intensity. A shared slot changes the activation of a point by at
-        most the share ``frames.uneven``. Currents are integer µA that sum to zero in each slot.
-        Masked electrodes have no slot.
+        the comfort level times intensity. In a shared slot, the relative error of a point's
+        activation is at most ``frames.uneven``. Currents are integer µA that sum to zero in each
+        slot. Masked electrodes have no slot.
         """
         asked = activation if intensity > 0 else 0 * activation
         if self._perceived_at is not None:
@@ -247,7 +247,7 @@ class PointSlots:
             self._full = np.asarray(PER_UA * magnitude.max(axis=1), np.float32)
         self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
         self._range = 1 - self._faintest
-        # Smallest level at which a site gets a slot. With one source, no current may round to zero.
+        # Sites below this level get no slot. With one source, no current may round to zero.
         self._weakest_level = np.zeros(count, np.float32)
         if profile.output.kind != "weighted":
             least_ua = np.where(magnitude > 0, magnitude, np.inf).min(axis=1)
