@@ -120,8 +120,8 @@ class KernelBank:
     def _weights_of(self, afferent: Afferent) -> NDArray[np.float64]:
         if afferent not in self.weights:
             offered = ", ".join(
-                f"{known.name} (off-target up to {self.off_target[known].max():.2g} of the "
-                f"target, spill up to {self.spill[known].max():.2g})"
+                f"{known.name} (off-target up to {self.off_target[known].max():.2g} and spill up "
+                f"to {self.spill[known].max():.2g}, relative to the target)"
                 for known in sorted(self.weights)
             )
             raise DesignError(

@@ -81,7 +81,7 @@ def _electrodes(profile: Profile) -> tuple[list[_Pad], tuple[float, float]]:
     """Return the electrodes as pads, and half the width and height, mm, of a board for them."""
     array, places = profile.electrodes, profile.electrodes.position_mm
     if any(shape == "point" for shape, _ in array.kinds):
-        raise ProfileError("shape point has no copper: give a shape and a size", key="array.shape")
+        raise ProfileError("points have no copper: set another shape and a size", key="array.shape")
     kind_of = {site: kind for kind, sites in array.kinds.items() for site in sites.tolist()}
     reach_mm = max(max(size) for _, size in array.kinds) / 2 + EDGE_MM
     right, down = (np.abs(places).max(axis=0) + reach_mm).tolist()

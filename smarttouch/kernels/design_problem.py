@@ -56,9 +56,9 @@ def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
 
 
 def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[np.int_]]:
-    """Return the symmetries of a square that preserve electrode shapes and the set of axon
-    directions of each class. They are (2, 2) matrices; the first is the identity. For the classes
-    in ``targets_of``, they also preserve the first direction, that of the target's axon."""
+    """Return symmetries of a square, (2, 2) matrices, beginning with the identity. They preserve
+    electrode shapes, and map the set of axon directions of each class to itself. For the classes in
+    ``targets_of``, they also preserve the first direction, that of the target's own axon."""
     skin = profile.skin
     kinds = profile.electrodes.kinds
     upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in kinds)
@@ -235,8 +235,8 @@ class Problem:
             raise masked_site(site)
 
     def beyond_a_pitch(self, site: int, node: int = 0) -> NDArray[np.bool_]:
-        """Return for each row of `own`, (M,), whether its node is farther than a pitch from the
-        target: node number ``node`` of the site's axon."""
+        """Return, (M,), whether the node of each row of `own` is more than a pitch away from the
+        target. ``node`` is the number of the target on the site's axon."""
         electrodes = self.profile.electrodes
         target_mm = self.axon_mm(site)[node, :2] if node else electrodes.position_mm[site]
         away = np.linalg.norm(self._own_position_mm - target_mm, axis=1)

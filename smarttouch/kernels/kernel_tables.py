@@ -159,8 +159,8 @@ def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list
         lines.append(sorted(line, key=lambda index: position[index, 0]))
     certain = f"at most {kernel.gap:.1%} from the optimum" if kernel.gap else "proven optimal"
     table = WordTable(
-        f"{of.afferent.name} kernel ({kernel.kind}) at site {of.site} of {profile.name}, "
-        "positive cathodic",
+        f"{of.afferent.name} kernel ({kernel.kind}) at site {of.site} of {profile.name}; "
+        "positive currents are cathodic",
         [],
         [[f"{weights[index]:+.3f}" for index in line] for line in lines],
         f"off-target {kernel.off_target:.4f} ({kernel.off_target_class.name}), spill "

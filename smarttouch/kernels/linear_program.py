@@ -32,7 +32,7 @@ _OPTIONS: Options = {
     "simplex_dual_edge_weight_strategy": 1,
 }
 
-_PATIENCE = 10  # iterations per row and column after which a hot start counts as cycling
+_PATIENCE = 10  # × (rows + columns): iterations after which a hot start counts as cycling
 _RESCUES: tuple[Options, ...] = (
     {"simplex_dual_edge_weight_strategy": -1},
     {"solver": "ipm", "presolve": "on"},
@@ -77,7 +77,7 @@ class ProgramRows:
         return int(self._ends[-1])
 
     def times(self, weights: Array) -> Array:
-        """Return the products, (N,), of all rows with a pattern, (O,)."""
+        """Multiply all rows by a pattern, (O,). Return the products, (N,)."""
         pattern = self.orbits @ weights
         products = []
         for rows, scale, chosen in self._parts:
@@ -104,11 +104,11 @@ class ProgramRows:
 class LinearProgram:
     """Linear program: minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σ size·w = 0.
 
-    An orbit is a set of electrodes with equal currents. w, (O,), has the current of one electrode
-    of each orbit. ``size``, (O,), has the number of electrodes. If several patterns are optimal,
+    An orbit is a set of electrodes with equal currents. w, (O,), is the current of one electrode of
+    each orbit. ``size``, (O,), is the number of its electrodes. If several patterns are optimal,
     each cost, (O,), of ``ties`` in turn selects those with the smallest Σ cost·|w|. ``worst``
-    selects the rows to add by their excess, (N,); by default it selects all violated rows. If a
-    solved program is given as ``after``, this program starts with its rows, and t is at least 0.
+    selects the rows to add by their excess, (N,); by default, all violated rows. If a solved
+    program ``after`` is given, this program starts with the rows of ``after``, and t is at least 0.
     """
 
     def __init__(
@@ -165,9 +165,9 @@ class LinearProgram:
         return int((np.abs(prices) > _PRICE).sum()) >= self._columns
 
     def limit(self, reference: Array, factors: Array, total: float | None) -> None:
-        """Limit the magnitudes of currents, relative to the current reference·w. ``factors``, (O,),
-        limits each current; infinity sets no limit. ``total`` limits the sum over all electrodes;
-        None sets no limit. ``reference``, (O,), usually selects one electrode."""
+        """Limit magnitudes of currents to multiples of one current, reference·w. ``reference``,
+        (O,), usually selects one electrode. ``factors``, (O,), are the multiples for each current,
+        and ``total`` is that for the sum over all electrodes. Infinity and None set no limit."""
         bounded = np.flatnonzero(np.isfinite(factors))
         eye = np.eye(self._count)[bounded]
         push = factors[bounded, None] * reference

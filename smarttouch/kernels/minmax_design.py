@@ -18,8 +18,7 @@ from smarttouch.base.errors import DesignError
 from smarttouch.kernels.design_problem import Array, Kernel, Problem, limits_ma
 from smarttouch.kernels.linear_program import Chooser, LinearProgram, Options, ProgramRows
 
-# Largest allowed activation of the class beyond a pitch from the target, relative to the target
-SPILL = 0.2
+SPILL = 0.2  # largest allowed `Kernel.spill`
 GIVEN_UP = 0.03
 """Relative increase of off-target that is allowed in order to reduce spill."""
 _WORTHWHILE = 1e-6
@@ -165,7 +164,7 @@ class _ProgramBuilder:
     ) -> LinearProgram:
         size = self.orbits.sum(axis=0)
         array = self._problem.profile.electrodes
-        # Break ties by total current, then by distance from the site, then from the middle.
+        # Break ties: prefer less current, then electrodes near the site, then near the middle.
         from_site = array.distance_mm[self._site] @ self.orbits
         from_middle = np.linalg.norm(array.position_mm, axis=1) @ self.orbits
         ties, peaks = (size, from_site, from_middle), _peaks(self._problem)
@@ -182,7 +181,7 @@ class _ProgramBuilder:
         return True
 
     def break_limits(self, program: LinearProgram) -> bool:
-        """Return whether a program needs limits: its optimum breaks them, or may not be unique."""
+        """Return True if the optimum of a program exceeds the limits, or may not be unique."""
         pattern, (reference, factors, total) = program.pattern, self._limits()
         current, magnitude = float(reference @ pattern), np.abs(pattern)
         in_all = float(self.orbits.sum(axis=0) @ magnitude)
@@ -194,7 +193,7 @@ class _ProgramBuilder:
         )
 
     def _limits(self) -> tuple[Array, Array, float]:
-        """Return the arguments of `LinearProgram.limit`. The reference is the current of the
+        """Return the arguments of `LinearProgram.limit`. Limits are relative to the current of the
         site's electrode."""
         total, electrode = limits_ma(self._problem.profile)
         site, full = self._site, self._problem.full_ma(self._site)

@@ -22,7 +22,7 @@ class FrameFigures:
     `off_target` and `spill` are relative to the smallest of these quotients."""
 
     off_target: float  # largest activation of any other class
-    spill: float  # largest activation of the same class beyond a pitch from every target
+    spill: float  # largest activation of the same class at nodes over a pitch away from all targets
     weakest: float  # smallest activation of a target, relative to its requested activation
     strongest: float  # largest activation of a target, relative to its requested activation
     total_ma: float  # total cathodic current
@@ -33,9 +33,9 @@ class FrameFigures:
 class FrameBounds:
     """Largest allowed side effects of a slot.
 
-    Raises DesignError for impossible values. The default of 0.30 is the off-target of the paper's
-    kernel for one SAI point on its line array. To save current, all targets of a slot can be weaker
-    than requested by up to `uneven`.
+    Raises DesignError for impossible values. The default of `other`, 0.30, is the off-target that
+    the paper's linear program reaches for one SAI point on its line array. To save current, all
+    targets of a slot can be weaker than requested by up to `uneven`.
     """
 
     other: float = 0.30  # largest allowed `FrameFigures.off_target`
@@ -47,7 +47,7 @@ class FrameBounds:
             upper_bound = 1 if name == "uneven" else np.inf
             if not 0 < value < upper_bound:
                 raise DesignError(
-                    f"the bound {name} is {value}: give a number above 0, and for uneven below 1"
+                    f"the bound {name} is {value}: give a number above 0 (uneven must be below 1)"
                 )
 
 
@@ -89,7 +89,7 @@ class FrameJudge:
 
     @cached_property
     def full_ma(self) -> Array:
-        """Largest current of each electrode at intensity 1, (E,) mA, in whole µA; 0 if masked."""
+        """Limit of each electrode at intensity 1, (E,) mA, rounded down to 1 µA; 0 if masked."""
         limits = self.profile.limits
         limit_ma = np.minimum(np.asarray(self.profile.full_ma, np.float64), limits.current_ma)
         if limits.electrode_ma is not None:
@@ -150,7 +150,7 @@ def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
 _SOFT = 1e-6
 """Regularization of `independent`, relative to the mean response of the targets. Without it the
 system of equations is singular if all sites are active, because currents sum to zero."""
-AIM = 0.8  # to save current, activations are reduced by this fraction of `FrameBounds.uneven`
+AIM = 0.8  # to save current, slots give (1 − AIM · uneven) of the requested activation
 
 
 class FrameOperator:
@@ -211,8 +211,8 @@ class SharedKernels:
 
     @cached_property
     def excited(self) -> tuple[Array, Array]:
-        """Positive activation by each kernel, V/mm²: at nodes of other classes, (A, N), and of the
-        same class, (A, M). The second array is zero within a pitch of the kernel's site."""
+        """Activation by each kernel, V/mm², at nodes of other classes, (A, N), and of the same
+        class, (A, M). Negative values, and the same class within a pitch of the site, are 0."""
         judge = self.operator.judge
         others, own_af = self.kernels @ judge.others.T, np.maximum(self.kernels @ judge.own.T, 0)
         for row, site in zip(own_af, self.sites, strict=True):
@@ -285,11 +285,11 @@ class Certainty:
     are added in double precision and rounded once.
     """
 
-    # (2, N) largest activation, divided by intensity; rows: other classes, same class
+    # (2, N) largest value of activation / intensity. Row 0: other classes; row 1: same class.
     reached: Array
-    rounding: Array  # (2, N) largest increase of the activation by rounding; rows as in `reached`
-    target: Array  # (N,) smallest activation of a target, divided by its level and by intensity
-    lost: Array  # (N,) largest loss of a target's activation by rounding, divided by its level
+    rounding: Array  # (2, N) most that rounding adds to an activation; rows as in `reached`
+    target: Array  # (N,) smallest value of activation / (level · intensity) of a target
+    lost: Array  # (N,) largest value of activation lost by rounding / level of a target
     total_ua: float  # largest increase of a slot's total current by rounding
 
     @classmethod
@@ -368,16 +368,16 @@ def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
 
 
 def provable(profile: Profile) -> bool:
-    """Return whether the array is a grid and small enough to prove sets of independent sites."""
+    """Return whether `proved_sets` can search this array: a grid of up to `MOST_PROVED` sites."""
     return profile.array.layout == "grid" and len(profile.electrodes) <= MOST_PROVED
 
 
 def proved_sets(judge: FrameJudge, bounds: FrameBounds) -> list[SharedKernels]:
-    """Return sets of independent sites. Any sites of one set can share a slot within the bounds.
+    """Return sets of independent sites. If any sites of one set share a slot, the bounds hold.
 
-    Each site is in one set. Activations are reduced (see `AIM`). The limit of each electrode is
-    checked, but not the total current. The list is empty if the array is too large or not a grid,
-    or if no sets could be proved.
+    Each site is in one set. The proof assumes reduced activations (see `AIM`). The limit of each
+    electrode is checked, but not the total current. The list is empty if the array is too large or
+    not a grid, or if the bounds do not hold for any of `_STEPS`.
     """
     if not provable(judge.profile):
         return []

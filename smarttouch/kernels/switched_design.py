@@ -1,7 +1,8 @@
 """Kernels for boards that switch one current source: each electrode is cathode, anode or insulated.
 
 The current divides among the electrodes of a pole by their admittance. One pole is always a single
-electrode: of several electrodes, one would carry all current if the others lost contact.
+electrode. Several would not allow more current, because one of them would carry all current if the
+others lost contact.
 """
 
 from collections.abc import Callable
