@@ -52,8 +52,8 @@ class Field(NamedTuple):
 def around_axis(
     x: Array, y: Array, potential: Array, zz: Array, around: Array, slanted: Array
 ) -> Field:
-    """Return the field of a cathode that is symmetric about the z axis. Pass x, y and the values of
-    an equal anode: Φ, ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r, all finite on the axis."""
+    """Return the field of a cathode that is symmetric about the z axis. Pass x, y and, with the
+    sign of an anode, Φ, ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r, all finite on the axis."""
     r2 = x * x + y * y
     # ∂²Φ/∂r² follows from Laplace's equation; on the axis it equals (∂Φ/∂r)/r.
     stretch = np.divide(-zz - 2 * around, r2, out=np.zeros_like(r2), where=r2 > 1e-12)
@@ -188,8 +188,8 @@ def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: fl
 
 
 _MARGIN_PITCHES = {"plane": 2.0}
-"""Nodes up to this distance from the array are considered, in pitches; 1 for other media. In the
-plane, 2 gives the paper's range of −5 to 5 mm."""
+"""Nodes up to this distance from the array are considered, in pitches, by medium (1 if not listed).
+In the medium "plane", 2 pitches give the paper's range of −5 to 5 mm."""
 
 
 @dataclass(frozen=True, eq=False)

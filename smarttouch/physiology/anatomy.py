@@ -53,8 +53,8 @@ class ClassAnatomy(Table):
     lean_deg: float = Field(default=0.0, ge=0, le=60)
     """Standard deviation of the inclination of an upright part from the vertical."""
     threshold_spread: float = Field(default=0.2, ge=0, le=2)
-    """Standard deviation of the logarithm of thresholds between axons (our assumption: diameters at
-    the fingertip vary by 15 %, 3.3 ± 0.5 µm, Nolano et al. 2003)."""
+    """Standard deviation, from axon to axon, of the logarithm of the threshold (our assumption, as
+    diameters at the fingertip vary by 15 %: 3.3 ± 0.5 µm, Nolano et al. 2003)."""
     threshold_factor: Positive = 1.0
     """Factor by which thresholds of the cable model are multiplied."""
     noise: float = Field(default=0.01, ge=0, le=1)

@@ -30,7 +30,7 @@ class Population:
 
     afferent: Afferent
     receptor_mm: Array  # (A, 2) mean place of each afferent's endings
-    axon_path_mm: Array  # (B, P, 3) corners of each branch, ending first; z is depth
+    axon_path_mm: Array  # (B, P, 3) corners of each branch, from its nerve ending on; z is depth
     owner: NDArray[np.intp]  # (B,) afferent of each branch
     factor: Array  # (A,) thresholds of afferents, relative to the fiber model
     anatomy: ClassAnatomy
@@ -45,7 +45,7 @@ def axon_path_points(
 
 
 def axon_path_length_mm(axon_path_mm: Array, corners: int) -> Array:
-    """Return the lengths of paths up to a corner, (B,) mm."""
+    """Return lengths, (B,) mm, of paths from their endings to the corner at index ``corners``."""
     steps = np.linalg.norm(np.diff(axon_path_mm[:, : corners + 1], axis=1), axis=2)
     return np.asarray(steps.sum(axis=1))
 
@@ -164,7 +164,7 @@ class Finger:
 
     @cached_property
     def rows(self) -> tuple[Floats, NDArray[np.intp]]:
-        """Drives, (N, E), of all nodes that can fire within limits, and ``starts``, (A,).
+        """Drives, (N, E), of all nodes that can fire with allowed currents, and ``starts``, (A,).
 
         A drive, float32 1/mA, is the effect of 1 mA of cathodic current with the profile's pulse. A
         node fires if the sum of drive times current, mA, is at least 1. The rows of afferent i
@@ -257,8 +257,8 @@ class Finger:
     def _drives_of_branches(
         self, population: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
     ) -> tuple[Floats, NDArray[np.intp]]:
-        """Return the drives of nodes that can fire, and the branch of each node. Search branches
-        ``part``, each from its ending to the corner with the index ``corners``."""
+        """Return the drives of nodes that can fire, and the branch of each node. Only the branches
+        in ``part`` are searched, each from its ending to the corner at index ``corners``."""
         spacing = driving.internode_mm
         length_mm = axon_path_length_mm(population.axon_path_mm[part], corners)
         nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1

@@ -59,8 +59,8 @@ class Fiber:
     end: Literal["passive", "active", "through"] = "passive"
     # Membrane area of a passive terminal, which has 1 µF/cm² and 1 mS/cm². Our estimate: 0.5 mm of
     # neurite 2 µm thick, coiled in a corpuscle about 100 µm long and 60 µm wide. The area decides
-    # which polarity fires an upright fiber with less current. With pulses of 200 µs at a depth of
-    # 0.7 mm, this polarity is anodic above about 1250 µm² and cathodic below.
+    # whether anodic or cathodic pulses fire an upright fiber with less current. For 200 µs and a
+    # depth of 0.7 mm, these are anodic pulses above about 1250 µm², and cathodic pulses below.
     terminal_um2: float = 3000.0
 
     def __post_init__(self) -> None:
@@ -83,8 +83,8 @@ class Axon:
     A time step is split (Strang): half a step of the membranes, a step of axial current, half a
     step of the membranes. Each part is solved exactly. Gates are half a step ahead of potentials.
     The fiber continues beyond the last node, in a field without curvature. Arguments are as for
-    `threshold_ma`; potentials can be (C, N) for C fields. `push`, (P,) or (C, P), is what 1 mA adds
-    to membrane potentials in one step, mV. P is the number of nodes with padding.
+    `threshold_ma`; potentials can be (C, N) for C fields. P is the number of nodes, padding nodes
+    included. `push`, (P,) or (C, P), is what 1 mA adds to membrane potentials in one step, mV.
     """
 
     def __init__(self, potential_mv_per_ma: ArrayLike, fiber: Fiber, step_us: float) -> None:
@@ -186,8 +186,8 @@ def threshold_ma(
 
     The first argument is the extracellular potential at each node, (N,), mV per mA of cathodic
     current. Node 0 is the ending. At the last nodes the potential should be zero, or linear along
-    the fiber. The fiber fires if a spike leaves the field: beyond the last node, the membrane
-    potential exceeds 80 mV. Raises DesignError if the threshold is outside 0.0001 to 1000 mA.
+    the fiber. The fiber counts as fired if the membrane potential at a padding node, beyond the
+    last given node, exceeds 80 mV. Raises DesignError for thresholds outside 0.0001 to 1000 mA.
     """
     steps = max(1, int(np.ceil(width_us / step_us - 1e-9)))
     axon = Axon(potential_mv_per_ma, fiber, width_us / steps)
@@ -247,9 +247,9 @@ FIBERS = {
     "trunk": Fiber(diameter_um=5.7, internode_mm=0.5, terminal_um2=1850.0),
     "mrg": Fiber(diameter_um=5.7, internode_mm=0.5055746, terminal_um2=1850.0),
 }
-"""Fibers by name: at the fingertip (Nolano et al. 2003), in a nerve trunk, and of the MRG model.
-A terminal of 1850 µm² gives an upright fiber at a depth of 0.7 mm a cathodic threshold of 1.38
-times the anodic one. For macaque RA afferents, the ratio is 1.3 to 1.5 (Kaczmarek 2000)."""
+"""Fibers by name: one at the fingertip (Nolano et al. 2003), one in a nerve trunk, and that of the
+MRG model. With a terminal of 1850 µm², an upright fiber 0.7 mm deep has a ratio of cathodic to
+anodic threshold of 1.38. For macaque RA afferents, the ratio is 1.3 to 1.5 (Kaczmarek 2000)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +258,7 @@ class DrivingFunction:
 
     internode_mm: float
     end: End  # kind of ending, as in `Fiber`
-    along: Array  # (K + 1,) 1/mV: weights of a node and of K neighbors on each side
+    along: Array  # (K + 1,) 1/mV: weight of a node, then of its 1st to Kth neighbors on both sides
     near_end: Array  # (H, L) 1/mV: replaces `along` in the first H drives; empty for "through"
     # A node stops a passing spike if its hyperpolarizing drive is at least `block` times the drive
     # of the node that fired. `block` is infinite if no node stops spikes.

@@ -138,7 +138,7 @@ class ResponseQuality:
     afferents: dict[Afferent, int]  # number of afferents that fired, by class
     # share of active electrodes with no spikes of a wanted class within half a pitch
     silent_points: float
-    wrong_class: float  # share of spikes in unwanted classes; NaN without spikes
+    wrong_class: float  # share of all spikes that belong to unwanted classes; NaN without spikes
     # share of spikes more than a pitch away from all active electrodes; NaN without spikes
     misplaced: float
 

@@ -116,8 +116,8 @@ def threshold_um(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
 
 
 def sensitivity(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
-    """Return the sensitivity at a frequency, Hz, relative to the best: 30 Hz (RA), 250 Hz (PC) or 0
-    Hz (SAI)."""
+    """Return the sensitivity at a frequency, Hz, relative to the sensitivity at the best frequency:
+    30 Hz (RA), 250 Hz (PC) or 0 Hz (SAI)."""
     best = threshold_um(afferent, best_hz(afferent))
     return np.asarray(best / threshold_um(afferent, frequency_hz))
 
