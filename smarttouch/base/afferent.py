@@ -33,7 +33,7 @@ class Mode(StrEnum):
     NATURAL = "natural"
     """Moving edges stimulate RA, and constant ink stimulates SAI."""
     COLOR = "color"
-    """The source gives the activation of each class itself; for sources without images."""
+    """The source gives an activation for each class. This is for sources without images."""
 
     @property
     def afferents(self) -> tuple[Afferent, ...]:

@@ -183,7 +183,7 @@ def require_within(
 ) -> None:
     """Raise an error unless a number is within a range. NaN is outside every range.
 
-    ``words`` replaces name and number in the message. If ``above``, ``least`` is not allowed.
+    ``words`` replaces name and value in the message. If ``above``, value must exceed ``least``.
     """
     if least <= value <= most and not (above and value == least):
         return

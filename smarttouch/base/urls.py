@@ -97,8 +97,8 @@ def read_options(
     """Split ``rest``, the part of a URL after its name, into an address and options.
 
     Options are the parameters of ``opener`` with a default, and the names in ``more``. Parameters
-    in ``but`` are not options. ``rest`` has no options if there is a file with this name, or if the
-    part after ``?`` does not look like options (``text:Is it so?``).
+    in ``but`` are not options. All of ``rest`` is the address if a file named ``rest`` exists, or
+    if the part after ``?`` does not look like options (``text:Is it so?``).
     """
     address, mark, query = rest.rpartition("?")
     known = options_of(opener, but) | more
@@ -141,7 +141,7 @@ def all_options(
     for name in options:
         if name not in taken:
             kind, takes = url.partition(":")[0], ", ".join(taken) or "none"
-            raise error(f"{kind}: has no option {name}: leave {name} out (options: {takes})")
+            raise error(f"{kind} has no option {name}: leave {name} out (options: {takes})")
     address, in_url = read_options(opener, rest, error, but)
     if twice := sorted(options.keys() & in_url.keys()):
         raise error(f"{twice[0]} is given in {url!r} and as an argument: leave one out")

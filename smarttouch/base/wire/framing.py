@@ -52,8 +52,8 @@ class Deframer:
             return None
         while at + data[at] < len(data):
             at += data[at]
-        # Set the length of the last COBS block to the number of bytes that have arrived. A complete
-        # block stands for its bytes and a zero; a block of the largest length adds no zero.
+        # Shorten an incomplete last COBS block to the bytes that have arrived. A complete block
+        # decodes to its bytes and a zero; the zero is missing if the block has the largest length.
         zero = b"\0" if at + data[at] == len(data) and data[at] < 0xFF else b""
         data[at] = len(data) - at
         decoded = bytes(cobs.decode(bytes(data))) + zero

@@ -59,7 +59,7 @@ def open_port(
         port.dtr = port.rts = False
         port.open()
         if HAS_POSIX and _is_device(port):
-            # Also exclude programs that ignore pyserial's lock. Programs of root are not excluded.
+            # Also keep out programs that ignore pyserial's lock. Root's programs can still open it.
             fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
         if url.startswith("socket://"):
             # Without TCP_NODELAY, short commands wait until the peer acknowledges earlier ones.
