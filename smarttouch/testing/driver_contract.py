@@ -117,7 +117,7 @@ class AtLine:
 
 
 def _package(module: str) -> str:
-    """Return the package of a module, in SmartTouch a subpackage such as ``smarttouch.boards``."""
+    """Return the package of a module. In SmartTouch, it is a subpackage (``smarttouch.boards``)."""
     if module.startswith("smarttouch."):
         return ".".join(module.split(".")[:2])
     return module.rpartition(".")[0] or module
