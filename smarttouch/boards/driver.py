@@ -420,7 +420,7 @@ class Line:
     # -- reports of a driver, from any thread ----------------------------------
 
     def started(self, proved: ProvedSequence, time_ns: int, board_us: int) -> None:
-        """Report a sequence's start: ``time_ns`` by `now_ns`, ``board_us`` by the board's clock."""
+        """Report when a sequence started, by `now_ns` and by the board's clock."""
         starts = self.board._starts
         starts[proved.number] = time_ns, board_us
         self.board.acknowledged += 1

@@ -33,8 +33,8 @@ class Capabilities:
     acknowledges: bool = False
     """Whether the board reports the start of each sequence."""
     host_timed: bool = False
-    """Whether the host times each pass. Then `Driver.write` reports each pass. It returns after the
-    last pass, or earlier if a newer sequence is waiting."""
+    """Whether the host decides when each pass starts. If so, `Driver.write` reports each pass, and
+    returns after the last pass, or earlier if a newer sequence is waiting."""
     measures: bool = False
     """Whether the board measures the voltage of each slot."""
     force: bool = False

@@ -1,4 +1,4 @@
-"""Layout of paragraphs of cells as pages of lines, and joining of lines to paragraphs."""
+"""Break paragraphs of Braille cells into lines and pages, and join lines to paragraphs again."""
 
 import re
 from collections.abc import Sequence

@@ -148,7 +148,7 @@ def _record(electrodes: int) -> np.dtype[np.void]:
 
 
 class Firmware(ABC):
-    """Base class of emulated firmware; the caller passes the time."""
+    """Base class of emulated firmware. It has no clock: its methods receive the present time."""
 
     books: DeliveryLog
     longest_step_ns = 10_000_000  # see `DeviceClock`

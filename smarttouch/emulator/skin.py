@@ -43,9 +43,9 @@ COMPLIANCE_V = 300.0
 _CONSTANT = (1, 1.0, 1.0)
 _SHARED = (6, 1.3, 0.6)
 _CAPPED = (24, 1.15, 1.0)
-"""Time steps of a pulse: their number; the length of each relative to the step before; the instant
-of a step for which the current is computed, from 0 (its start) to 1 (its end). Finer steps change
-results by at most 3 %."""
+"""Division of a pulse into time steps. The three values are: number of steps; length of a step,
+relative to the previous step; place within a step at which the current is computed, from 0 (start)
+to 1 (end). Finer steps change results by at most 3 %."""
 _SHORT_STEPS, _SHORT_GROWTH = 3, 3.0
 """Time steps of a discharge: number of steps; length of each step relative to the step before. If
 electrodes differ by up to 15 %, the error is below 1 % of the initial charge."""

@@ -29,7 +29,7 @@ QUANTILES = (0.5, 0.025, 0.975)
 _MIDDLES, _SPREADS, _LAPSES, _GUESSES = 151, 21, 5, 6
 _NARROWEST, _WIDEST = 1 / 40, 1.0
 """Smallest and largest spread on the grid, relative to the range of comparisons. Our choice: with
-these limits, the 95 % interval contains the true threshold of 92 to 98 % of simulated subjects."""
+these limits, 92 to 98 % of the 95 % intervals of simulated subjects contain the true threshold."""
 _EDGE = 0.05
 """Margin at the edge of the grid, relative to the range of comparisons. If a credible interval
 ends in this margin, the end counts as undetermined."""

@@ -72,8 +72,8 @@ ADAPTATION_S = 0.04
 """Time constant of adaptation to constant ink. Our choice: longer than the period of RA pulses, and
 so short that, at reading speed, no stroke smears over the next letter."""
 LEAVING = 0.4
-"""Activation of RA when ink leaves an electrode, divided by that when ink arrives. RA responds less
-to the end of a touch. With 1, the previous stroke would be felt beside the present stroke."""
+"""Activation of RA by leaving ink, relative to arriving ink. RA responds less to the end of
+a touch. At 1, the previous stroke would be felt beside the present stroke."""
 FAINTEST_CHANGE = 0.15  # smallest change of ink that exceeds sensor noise
 
 

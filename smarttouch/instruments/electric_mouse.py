@@ -73,8 +73,8 @@ SLIDES = 1.5
 """Distance, in mouse counts, by which the filtered place lags behind a moving hand. It is larger
 than jitter of one count along both axes (1.4)."""
 STICKS = 4.5
-"""A resting hand starts to move if it is farther than this from the filtered place, in mouse
-counts. Jitter reaches at most 4.3: the lag (1.5) plus ±1 count along both axes (2.8)."""
+"""Distance from the filtered place, in mouse counts, above which a resting hand counts as moving.
+Jitter alone reaches 4.3: the filter lags by 1.5, and two counts along both axes add 2.8."""
 _ROUNDING = 1 + 1e-6  # factor that tolerates rounding errors when distances are compared
 
 

@@ -249,7 +249,7 @@ class ReliefFeeler:
             self._lowest = lowest[-1]
             return self._nothing
         self._lowest = np.where(pulsed, depth[-1], lowest[-1])
-        # Measure the motion to the next pulse from the place where this pulse was due, not sent.
+        # Measure the distance to the next pulse from where this pulse was due. Pulses can be late.
         gone, grain_mm = places[-1] - self._pulsed, self._relief.grain_mm
         gone_mm = np.maximum(np.abs(gone), grain_mm)
         over = gone_mm - grain_mm < step_mm * (len(places) - 2)

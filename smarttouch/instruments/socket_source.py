@@ -92,7 +92,7 @@ class SocketSource(Program):
             while line := await reader.readline():
                 await self._answer(line, writer)
                 await writer.drain()
-                await asyncio.sleep(0)  # let a show begin before the next request can end it
+                await asyncio.sleep(0)  # let a pattern start before the next request can end it
         except ValueError:
             _reply(writer, error=f"a request has more than {MOST_BYTES} bytes: send less")
         finally:
@@ -122,7 +122,7 @@ class SocketSource(Program):
                 await self._put_newest(pattern)
             elif asked.request == "level":
                 if asked.level is None:
-                    raise SourceError("a level request needs the key level, from 0 to 1")
+                    raise SourceError("request 'level' needs the key 'level', from 0 to 1")
                 self.controls.set_level(asked.level)
             elif asked.request == "stop":
                 self.end()

@@ -218,7 +218,7 @@ _DECIMALS = 6
 class Tile:
     """Small array of a site and its neighbors, for all sites whose neighbors are arranged alike."""
 
-    profile: Profile  # profile of the tile; electrode 0 is its site
+    profile: Profile  # profile with the electrodes of the tile; number 0 is the site of the kernel
     # indices of the tile's electrodes in the complete array, (N,), for each site
     members: dict[int, NDArray[np.intp]] = field(default_factory=dict)
 

@@ -52,8 +52,9 @@ class Field(NamedTuple):
 def around_axis(
     x: Array, y: Array, potential: Array, zz: Array, around: Array, slanted: Array
 ) -> Field:
-    """Return the field of a cathode that is symmetric about the z axis. Pass x, y and, with the
-    sign of an anode, Φ, ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r, all finite on the axis."""
+    """Return the field of a cathode that is symmetric about the z axis. After x and y, pass the
+    field of the same electrode as anode: Φ, ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r. These four values
+    must be finite on the axis."""
     r2 = x * x + y * y
     # ∂²Φ/∂r² follows from Laplace's equation; on the axis it equals (∂Φ/∂r)/r.
     stretch = np.divide(-zz - 2 * around, r2, out=np.zeros_like(r2), where=r2 > 1e-12)

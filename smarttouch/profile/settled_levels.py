@@ -17,7 +17,7 @@ SETTLED_NS = 10_000_000_000  # time of touch after which an unchanged level coun
 
 
 class SettledLevel(Table):
-    """Comfortable level in the log, with the largest current, the force and the impedance."""
+    """Log entry: a comfortable level, and the electrode current, force and impedance at it."""
 
     time: datetime
     mode: str

@@ -295,7 +295,7 @@ def make_regulator(
         timing = board.driver.timing
         if config.hold == "charge" and not (timing.own_widths and timing.width_us is None):
             raise BoardError(
-                "hold charge needs a board with a pulse width for each slot, but this board has "
+                "hold=charge needs a board with a pulse width for each slot, but this board has "
                 "one width for all slots: set hold=energy"
             )
         if config.hold == "energy":

@@ -28,7 +28,7 @@ class RecordingSource(Source):
     An input that was sent as several sequences counts once. Inputs recorded as stale are stale.
     """
 
-    knows_force = True  # only boards without a finger use the recorded force
+    knows_force = True  # recorded force, used only if no finger can be on the board
 
     def __init__(self, recording: RecordedRun) -> None:
         super().__init__(recording.path.name)

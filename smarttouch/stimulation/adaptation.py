@@ -59,7 +59,7 @@ class Adaptation:
         return tuple(np.flatnonzero(self._limited).tolist())
 
     def observe(self, sequence: ScanSequence, volts: NDArray[np.float32]) -> None:
-        """Update the estimates by the voltage of the source at the end of each pulse, (S,) V."""
+        """Update the estimates from the voltage of the source at the end of each pulse, (S,) V."""
         peak_ua = _peak_ua(sequence.current_ua)
         known = (peak_ua > 0) & np.isfinite(volts) & (np.asarray(volts) > 0)
         site, peak_ua = sequence.site[known].astype(np.intp), peak_ua[known]

@@ -220,7 +220,7 @@ class NetPlan:
                 # Count one more pass, because the window can also include parts of passes.
                 needed_us = max(needed_us, WINDOW_US / 1.1 * mean_pc / (_MEAN_PC - mean_pc))
             if carried_pc + mean_pc < GUARD_PC:
-                # Spread the rest of the limit evenly until the oldest pass is `WINDOW_US` old.
+                # Distribute the charge that is left evenly until the oldest pass leaves the window.
                 left_us = WINDOW_US - span_us
                 needed_us = max(needed_us, left_us * mean_pc / (GUARD_PC - carried_pc))
         if self._newest_at_most_pc + most_pc > GUARD_PC:

@@ -158,8 +158,8 @@ class FrameSlots:
         do = np.empty((2, count), np.float32)
         owner = self._owner.take(kernel.take(first[:shared]))
         do[:, :shared] = self._figures(intensity).take(owner, axis=1)
-        # Reported values are relative to a target at level 1, so the values of a single point are
-        # multiplied by its level.
+        # A report is relative to a target at level 1, but a single point has a level of its own:
+        # multiply the values of the point by this level.
         np.multiply(self._points_do.take(alone, axis=1), alone_level, out=do[:, shared:])
         site = self._kernel_sites.take(kernel.take(first[:-1])).astype(np.uint16)
         proof = SelectivityReport(np.array(points, np.uint16), *do)

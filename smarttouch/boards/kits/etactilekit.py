@@ -69,7 +69,7 @@ class ScanLock:
         self.last: Span | None = None
 
     def scan(self, number: int) -> Span:
-        """Return the bounds of the start of scan ``number``; ``last`` must be known."""
+        """Return the earliest and latest possible start of scan ``number``; `last` must be set."""
         assert self.last is not None
         away_ns = number * self.period_ns
         unsure_ns = math.ceil(abs(away_ns) * TOLERANCE)
