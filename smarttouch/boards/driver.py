@@ -131,7 +131,7 @@ class Driver(ABC):
         """Store the kernels of the next sequences on the device."""
 
     def status(self) -> BoardReport | None:
-        """Return the device's report of delivered sequences; None to use the host's."""
+        """Return the device's report of what it delivered. If None, the host's report is used."""
         return None
 
 

@@ -78,7 +78,7 @@ class BrailleTable:
     def paragraphs(self, text: str, note: Callable[[str], None]) -> list[str]:
         """Translate each line of a text to cells. A text of cells is not translated.
 
-        ``note`` is called with the sentence of `losses`, if any.
+        If characters are lost, ``note`` is called with the sentence that `losses` returns.
         """
         if any(map(is_cell, text)) and all(is_cell(sign) or sign in " \t\n" for sign in text):
             cells = re.sub("[ \t]", BLANK, text)

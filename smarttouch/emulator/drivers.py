@@ -203,7 +203,7 @@ class MemoryDriver(Driver):
 _STARTS_WITHIN_S = 30.0  # time limit for the start of the process, which busy computers delay
 _ENDS_WITHIN_S = 3.0
 _FIRST_HOST_S = 5.0  # a process that waits longer for its first host is not used: it ends after 8 s
-_ANSWERS_WITHIN_S = 5.0  # longest silence of the board, because a busy computer delays the emulator
+_ANSWERS_WITHIN_S = 5.0  # longest allowed silence of the emulator, which a busy computer delays
 
 
 class EmulatorDriver(LinkDriver):

@@ -20,7 +20,7 @@ from smarttouch.kernels.linear_program import Chooser, LinearProgram, Options, P
 
 SPILL = 0.2  # largest allowed `Kernel.spill`
 GIVEN_UP = 0.03
-"""Relative increase of off-target that is allowed in order to reduce spill."""
+"""Largest allowed increase of the off-target activation, as a share of it, to reduce spill."""
 _WORTHWHILE = 1e-6
 _SEARCHED_MM = 0.5  # spacing of the nodes that `design_any_node` tries as target
 _LOOSE_ROWS = 40  # largest number of rows added per round for the spill bound and Eq. 11

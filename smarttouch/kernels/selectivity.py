@@ -296,8 +296,8 @@ class Certainty:
     def of(
         cls, sets: Sequence[SharedKernels], aim: float, faintest: float, most_ma: float
     ) -> "Certainty":
-        """Return the bounds for levels from ``faintest`` to 1, if slots carry at most ``most_ma``.
-        Targets get ``aim`` times the requested activation."""
+        """Return the bounds for levels from ``faintest`` to 1, for slots with a total current of at
+        most ``most_ma``. Kernels aim at ``aim`` times the requested activation."""
         certainties = [cls._of_one(site_set, aim, faintest, most_ma) for site_set in sets]
         columns = np.array(certainties, np.float64).reshape(-1, 7).T
         return cls(

@@ -102,7 +102,7 @@ def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int
     The picture reaches from ascenders to descenders, with `SIDES` as margin at each end. Ink of the
     lines above and below is removed.
     """
-    # Cut at the resolution of the page; change the height afterwards.
+    # Cut the line out at the resolution of the page; scale it to ``height_px`` at the end.
     rows = max(1, round(line.height_mm / mm_per_pixel))
     scale_mm, sides_mm, above = line.height_mm / rows, SIDES * line.height_mm, round(_AROUND * rows)
     columns = max(1, round((line.right_mm - line.left_mm + 2 * sides_mm) / scale_mm))

@@ -51,7 +51,7 @@ class ClassAnatomy(Table):
     bend_mm: float = Field(default=0.5, ge=0, le=5)
     """Length over which bends are rounded (our assumption). Otherwise bends would fire first."""
     lean_deg: float = Field(default=0.0, ge=0, le=60)
-    """Standard deviation of the inclination of an upright part from the vertical."""
+    """Standard deviation of the angle between the vertical and the upright part of an axon."""
     threshold_spread: float = Field(default=0.2, ge=0, le=2)
     """Standard deviation, from axon to axon, of the logarithm of the threshold (our assumption, as
     diameters at the fingertip vary by 15 %: 3.3 ± 0.5 µm, Nolano et al. 2003)."""

@@ -302,8 +302,8 @@ def passes(drive: Array, block: float) -> NDArray[np.bool_]:
 
 
 def bend_operator(end: End, nodes: int) -> Array:
-    """Return the matrix of second differences along a fiber, (B, N). If the fiber ends, the first
-    row is a first difference."""
+    """Return the matrix of second differences along a fiber, (B, N). An ending has one neighbor,
+    so the row of an ending is a first difference."""
     bends = np.diff(np.eye(nodes), 2, axis=0)
     if end == "through":
         return bends

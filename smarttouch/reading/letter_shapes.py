@@ -81,7 +81,8 @@ def _words_of(prepared: PreparedPage, source: ReadingMaterial) -> Iterator[str]:
 
 
 def require_rows(profile: Profile, note: Note) -> None:
-    """Raise ReadingError if the array has too few rows for letters; add a note if it has few."""
+    """Raise ReadingError if the array has too few rows for letters. Add a note if many letters
+    would look alike."""
     rows = _require_fewest_rows(profile, ReadingError)
     if rows < ENOUGH_ROWS:
         note(

@@ -49,8 +49,8 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, checked_input
 
 HELD_UP_NS = 1_000_000
-"""Longest wait for the board that is not counted. The wait of a send is its duration minus its
-processor time."""
+"""If a send waits for the board longer than this, later deadlines move. The wait is the duration of
+the send minus its processor time."""
 _LATE_AGAIN_NS = 5_000_000_000  # late sequences less than this time apart are reported only once
 
 LOG = logging.getLogger("smarttouch.run")

@@ -325,8 +325,8 @@ _SENTENCES = {
     "the limit for a phase of this width",
     "recharge_ma": "the total current of the recharge phase is {value:.3f} mA, above the limit of "
     "{allowed:g} mA",
-    "takes_back": "electrode {electrode}: a recharge phase may only reduce the net charge: its "
-    "charge is {value:g} µC, and must be between 0 and {allowed:g} µC",
+    "takes_back": "electrode {electrode}: the recharge phase carries {value:g} µC: to reduce "
+    "the net charge, it must carry between 0 and {allowed:g} µC",
     "passes": "{value} sequences would be delivered within a second, and limits.rate_hz allows "
     "{allowed}: send sequences less often",
     "pulses_hz": "electrode {electrode}: {value:g} perceptible pulses within one pass or one "

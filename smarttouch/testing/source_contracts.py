@@ -187,7 +187,7 @@ def _content(given: Input) -> NDArray[Any]:
 
 
 class ForceContract(_Opened):
-    """Contract tests of force sensors: subclass as ``TestMine``, with `make`."""
+    """Contract tests of force sensors: derive a class, such as ``TestMine``, and define `make`."""
 
     def make(self, profile: Profile) -> ForceSource:
         """Return a new source of force."""

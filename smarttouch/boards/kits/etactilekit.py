@@ -34,7 +34,7 @@ from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence, ScanTiming
 
 FIRMWARES = ("71adee2", "newest")  # known firmware versions, by commit
-NEWEST_ZERO_MS = 520.0  # newest firmware: time from the host's last byte to zero (timeout 500 ms)
+NEWEST_ZERO_MS = 520.0  # newest firmware: at zero this long after the host's last byte
 IDLE_S = 0.1  # time without a sequence after which zeros are loaded
 VOLTS_PER_COUNT = 0.0893
 DUMMY_KOHM = 66.0  # load in parallel with the skin, kΩ
