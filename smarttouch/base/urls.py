@@ -141,7 +141,7 @@ def all_options(
     for name in options:
         if name not in taken:
             kind, takes = url.partition(":")[0], ", ".join(taken) or "none"
-            raise error(f"{kind} has no option {name}: leave {name} out (options: {takes})")
+            raise error(f"{kind}: has no option {name}: leave {name} out (options: {takes})")
     address, in_url = read_options(opener, rest, error, but)
     if twice := sorted(options.keys() & in_url.keys()):
         raise error(f"{twice[0]} is given in {url!r} and as an argument: leave one out")

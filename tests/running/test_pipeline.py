@@ -297,7 +297,7 @@ def test_a_board_with_one_width_holds_energy_and_no_charge(profile, timing):
     kind = type("Measuring", (MemoryDriver,), {"timing": timing, "open": measures})
     with board_without_finger(profile, kind) as board:
         assert make_regulator(board, profile, RunConfig(hold="energy"), print).adaptation
-        with raises(BoardError, names="hold charge"):
+        with raises(BoardError, names="hold=charge"):
             make_regulator(board, profile, RunConfig(hold="charge"), print)
 
 
