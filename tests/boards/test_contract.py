@@ -10,6 +10,7 @@ from firmware.tests.scenes import random_table
 from smarttouch.base.errors import BoardError, BoardRestartedError
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Line
+from smarttouch.boards.kits.etactilekit_line import zero_anywhere
 from smarttouch.boards.link import Rule
 from smarttouch.boards.open import make_board
 from smarttouch.emulator.drivers import SimulatedDriver
@@ -207,6 +208,11 @@ class TestETactileKit(OneAgainstAll):
         return f"etactilekit:{port}?firmware={self.firmware}"
 
     firmware, more = "71adee2", ()
+
+    def test_the_time_to_zero_includes_the_bytes_of_zero(self, make_board):
+        with make_board() as board:
+            # 10 bits per byte at 921,600 Bd, after the timeout of the watchdog.
+            assert board.capabilities.kept_ms >= 100 + 10 * len(zero_anywhere(8)) / 921.6
 
 
 @without_repeating

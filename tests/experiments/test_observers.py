@@ -172,3 +172,10 @@ def test_a_blind_subject_answers_anything():
     counts = [answers.count(each) for each in "ABCD"]
     assert min(counts) > 150
     assert max(counts) < 250
+
+
+def test_the_softness_of_a_single_pulse_is_guessed(observer, train):
+    answers = [
+        observer(seed=seed).respond("softer", (train(1), train(30)), "12") for seed in range(10)
+    ]
+    assert {*answers} == {"1", "2"}
