@@ -1,8 +1,8 @@
-"""Common parts of published kits: the current of one count, and sequences for a single source.
+"""Common parts of the drivers of kits: current per DAC count, and slots for a single source.
 
-A measured current may differ from the nominal one by 30 %. This tolerance covers the differences
-between boards of one kind. It is small enough to detect a different board of the family (a factor
-of 1.77 or more), a peak-to-peak value (2) and a wrong unit (1,000).
+The measured current of a count may differ from the nominal one by 30 %. This covers the differences
+between boards of one kind. The check still detects errors: another board of the family changes the
+current by a factor of 1.77 or more, a peak-to-peak value by 2, a wrong unit by 1,000.
 """
 
 import numpy as np
@@ -18,8 +18,8 @@ BOOT_S = 1.0  # time to boot: kits reset when their port is opened
 
 
 def require_kit(kind: str, port: str, output: Output | None, profile: str) -> float:
-    """Return the current of one count of a kit, µA. Raises BoardError if the port is missing or the
-    profile is unsuitable."""
+    """Return the current per DAC count, µA: as measured if ``output`` states it, otherwise nominal.
+    Raises BoardError if the port is missing or the profile does not suit the kit."""
     if not port:
         raise BoardError(f"{kind}: needs a port, for example {kind}:/dev/ttyUSB0")
     if output is not None and output.kind != "one-against-all":
@@ -38,9 +38,9 @@ def steps_of(
     kind: str, scale_ua: float, limits: SafetyLimits, width_us: float, level_ua: NDArray[np.int64],
     electrode: NDArray[np.intp], counts: int = 1,
 ) -> NDArray[np.int64]:  # fmt: skip
-    """Convert the current of each slot, (S,) µA, to a whole number of steps of ``counts`` counts.
-    The result keeps the limits of current and charge if a count has its measured current,
-    ``scale_ua``, and if it has its nominal current."""
+    """Convert the current of each slot, (S,) µA, to a whole number of steps. A step is ``counts``
+    DAC counts. The result keeps the limits of current and charge in both cases: if a count causes
+    its measured current, ``scale_ua``, and if a count causes its nominal current."""
     most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
     # Without 1e-9, a rounding error could reduce a limit of exactly n steps to n - 1 steps.
     most = np.floor(most_ua / (counts * max(scale_ua, NOMINAL_UA[kind])) + 1e-9)[electrode]
@@ -48,9 +48,9 @@ def steps_of(
 
 
 def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Return two arrays, (S,): the electrode that each slot drives against all others, and its
-    current, µA, positive cathodic. Raises BoardError if a slot is of another kind, or if two slots
-    drive the same electrode."""
+    """Return two arrays, (S,): the electrode that each slot drives against all others, and the
+    current of this electrode, µA (cathodic is positive). Raises BoardError if a slot drives
+    electrodes in another way, or if two slots drive the same electrode."""
     current = sequence.current_ua.astype(np.int64)
     electrode = sequence.site.astype(np.intp)
     rows = np.arange(sequence.slots)

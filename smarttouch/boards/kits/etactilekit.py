@@ -5,9 +5,9 @@ The wire format and safe dialogues are in `etactilekit_line`.
 The board reads its pattern when a scan starts. The driver loads a pattern, enables pulses for the
 requested number of scans, and stops pulses. The board does not report scans, but each scan changes
 its readings. If two queries return different readings, a scan has started between them. `ScanLock`
-computes the times of all other scans from this. Before these times are known, and on a slow line,
-pulses are enabled for more than a period. Reports then state the smallest and largest number of
-scans.
+computes the times of all other scans from this. While these times are unknown, and on a slow line,
+pulses stay enabled for longer than the requested scans. More scans may then have pulses, so reports
+state the smallest and largest possible number of scans.
 """
 
 import math
@@ -44,10 +44,10 @@ OPEN_SHARE = 0.95  # the finger is lifted if all slots reach this share of the n
 
 LOW, HIGH = 4, 12  # a reading below 4 (0.3 V) means no pulse; 12 (1 V) or more means a pulse
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
-WIDE_NS = 1_000_000  # if the start of a scan is more uncertain than this, a query locates the scan
+WIDE_NS = 1_000_000  # if the start of a scan is more uncertain than this, a query narrows it down
 KEEP_NS = 100_000_000  # longest pause between queries: the newest firmware stops after 500 ms
 TOLERANCE = 200e-6  # largest relative difference between the clocks of host and board, 100 ppm each
-WIDEST = 0.25  # a scan start counts as known up to this uncertainty, relative to the period
+WIDEST = 0.25  # a scan start that is uncertain by more than this share of a period is unknown
 
 
 class ScanLock:
@@ -61,7 +61,7 @@ class ScanLock:
     period_ns : int
         Period of the scans.
     last : Span or None
-        Earliest and latest start of scan 0, the scan in the last bracket; None if unknown.
+        Earliest and latest start of scan 0; None if unknown. Scan 0 began in the newest bracket.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -97,7 +97,7 @@ class ScanLock:
         )
 
     def learn(self, bracket: Span) -> None:
-        """Update `last` from a bracket, unless several scans may have started in it."""
+        """Update `last` from an interval with a scan start, unless it may contain more than one."""
         if self.last is None:
             if bracket.late - bracket.early <= WIDEST * self.period_ns:
                 self.last = bracket
@@ -107,7 +107,7 @@ class ScanLock:
         spans = [Span(max(s.early, bracket.early), min(s.late, bracket.late)) for s in scans]
         possible = [span for span in spans if span.early <= span.late]
         if len(possible) <= 1:
-            # If no scan can have started in the bracket, the board was restarted or paused.
+            # If no expected scan fits this interval, the board was restarted or paused.
             self.last = possible[0] if possible else None
 
     def check(self, time_ns: int) -> None:
@@ -279,7 +279,7 @@ class ETactileKitDriver(Driver):
             "etactilekit", self.ua_per_count, self._limits, width_us, level_ua, electrode
         )
         counts = np.minimum(steps, wire.LARGEST)
-        # Avoid the values of commands: after a lost byte, the board may read a byte as a command.
+        # No data byte may equal a command: after a lost byte, the board may read it as a command.
         low = counts & 0xFF
         counts -= np.where(low >= wire.FIRST_COMMAND, low - (wire.FIRST_COMMAND - 1), 0)
         heights = np.zeros(self._outputs, "<u2")
@@ -388,7 +388,7 @@ class ETactileKitDriver(Driver):
         asked_ns, then = before
         rises, falls = (then < LOW) & (now >= HIGH), (then >= HIGH) & (now < LOW)
         if (rises | falls).any():
-            # Assume the shortest slot: no pulse, and the set discharge less `SHORTEST_US`.
+            # The shortest slot has no pulse; its discharge is `SHORTEST_US` below the setting.
             rest_us = max(0, settings.discharge_us - wire.SHORTEST_US)
             if self._firmware == "71adee2":
                 # This firmware answers only between scans. It has answered, so the scan is over.
@@ -417,8 +417,8 @@ class ETactileKitDriver(Driver):
         return now_ns if now_ns + answer_ns < following.early else following.late + MARGIN_NS
 
     def _hold(self, proved: ProvedSequence) -> None:
-        """Wait until the requested number of scans is over. Meanwhile send queries, which locate
-        scans and prevent the board's host timeout."""
+        """Wait until the requested number of scans is over. Meanwhile send queries. The answers
+        show when scans start, and the queries prevent the host timeout of the board."""
         line, shown, lock = self._kit.line, self._shown, self._lock
         asked_ns = now_ns = line.now_ns()
         # Another thread may set the board to zero, which ends the pattern.
@@ -448,7 +448,7 @@ class ETactileKitDriver(Driver):
                         self._look(shown, self._before[1])
 
     def _look(self, shown: ShownPattern, readings: Readings) -> None:
-        """When readings first show pulses, set ``since`` to the start of the scan with them."""
+        """When readings first show pulses, set ``since`` to just before the scan of the pulses."""
         scan = self._lock.last
         if not shown.is_seen and shown.pulsed(readings).any():
             shown.is_seen = True
@@ -480,7 +480,8 @@ class ETactileKitDriver(Driver):
             if pulsed.any():
                 least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
             elif level_ua >= self._seen_ua and (readings < LOW).all():
-                # Weaker or equal pulses raised readings before. These did not: no scan took place.
+                # Earlier pulses, no stronger than these, raised the readings. These pulses did
+                # not, so no scan took place.
                 self._lock.last, least = None, 0
             if least:
                 volts, lifted = (readings * VOLTS_PER_COUNT).astype(np.float32), None

@@ -70,9 +70,9 @@ class Settings:
         return outputs * (self.width_us + self.discharge_us + slot_extra_us)
 
     def commands(self, between_hz: int) -> bytes:
-        """Return the commands for the settings, each twice. Zeros follow each command, so that a
-        lost byte never lengthens a pulse. During the change the scan rate is ``between_hz``. This
-        rate is slow enough for the old and the new settings."""
+        """Return the commands that replace the board's settings by these, each command twice. Zeros
+        follow each command, so that a lost byte never lengthens a pulse. Until all settings are
+        replaced, the scan rate is ``between_hz``: slow enough for the old and the new settings."""
         once = (
             QUIET + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
             + b"\xf6" + between_hz.to_bytes(2, "little") + _END
@@ -91,11 +91,11 @@ AT_REST = (
     b"\xfc\0" + _END, NO_SENSE, b"\xfb\0\0" + _END, b"\xfa\x01\0" + _END,
     b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
 )  # fmt: skip
-"""Commands that set any published firmware to zero. They set no electrodes, no sense pulses, zero
-height (mode 0 in newer firmware), the shortest pulses and 10 scans per second. To other known
-boards, these bytes are neither a query nor a pattern."""
+"""Commands that set a board with any published firmware to zero: 0 electrodes, no sense pulses,
+height 0 (in newer firmware, mode 0), the shortest pulses and 10 scans per second. Other known
+boards read these bytes neither as a query nor as a pattern."""
 QUIET = b"\xfb\x02\xfb\x02"  # stops pulses at the next scan
-LOAD = b"\xfb\x02\xfe"  # stops pulses and begins a pattern
+LOAD = b"\xfb\x02\xfe"  # stops pulses; the bytes of a new pattern must follow
 GO = b"\xfb\0"  # starts pulses at the next scan
 
 
@@ -174,8 +174,8 @@ class ETactileKitLine:
     def _answers(
         self, query: bytes, *attempts: tuple[bytes, float], then: tuple[bytes, ...] = ()
     ) -> Iterator[bytes]:
-        """Yield the first byte of the answer to each attempt. Each attempt sends its bytes and then
-        waits, to resynchronize the parser. It then sends the commands in ``then`` and the query."""
+        """Yield the first byte of the answer to each attempt. An attempt (bytes, s) sends the bytes
+        and waits, to resynchronize the parser. Then it sends ``then`` and ``query``."""
         for data, pause_s in attempts:
             self.line.write(data)
             self.line.pause(pause_s)
@@ -184,7 +184,7 @@ class ETactileKitLine:
             yield self.line.ask(query, 1, CHIPS_S)
 
     def _identify(self) -> int:
-        """Set the board to zero and set its number of electrodes. Return its number of outputs."""
+        """Set the board to zero and tell it how many outputs to scan. Return how many it has."""
         line = self.line
         # An earlier host may have left an incomplete pattern. Only zeros complete it without
         # current. If zeros do not complete it, the board drops it during a pause.
@@ -236,7 +236,7 @@ class ETactileKitLine:
         self, body: bytes, *, ask: bool = False, drives: ProvedSequence | None = None
     ) -> tuple[Span, Readings] | None:
         """Send commands and wait for their execution. Return the time of execution and, with
-        ``ask``, the readings before it, (N,), in the order of outputs. After a wrong answer,
+        ``ask``, the readings from before the commands, (N,), by output. After a wrong answer,
         resynchronize and return None. ``drives`` is the sequence that the commands start."""
         expected, begun_ns = 2 * self.outputs * ask + 1, self.line.now_ns()
         answer = self.line.ask(READINGS * ask + body + PING, expected, ECHO_S, drives)
@@ -256,8 +256,8 @@ class ETactileKitLine:
                 f"{self.line.name}, so it cannot be driven safely: use another cable and port, or "
                 "flash the newest firmware of the kit's repository, aid-lab-org/eTactileKit"
             )
-        # First send zeros: they complete an incomplete pattern and are not commands. Then, if there
-        # is still no answer, pause: the board drops the incomplete pattern.
+        # First send zeros, which are not commands. They fill up a pattern that arrived in part. If
+        # there is still no answer, pause until the board drops the partial pattern.
         query = QUIET + bytes(4) + PING
         if self._echo not in self._answers(query, (ZEROS, 0.01), (b"", FORGETS_S)):
             raise self.line.lost("does not answer any more")
@@ -268,8 +268,8 @@ ENDS_WITHIN_S = 1.5  # longest wait until the watchdog has ended; its zero comma
 BYTES_PER_MS = 92  # bytes that a serial line of 921,600 Bd transmits in 1 ms
 KEPT_MS = 100.0  # the watchdog begins to write within this time after this program ends or hangs
 STALE_NS = int(0.8e9 * watchdog.SILENCE_S)
-"""This program writes nothing if its last heartbeat is older than this. The watchdog waits longer
-before it begins to write."""
+"""Largest age of the last heartbeat, ns, at which this program still writes to the port. The
+watchdog begins to write later, at an age of `watchdog.SILENCE_S`."""
 COMMAND = [sys.executable, "-I", "-S", watchdog.__file__]
 """Command that starts the watchdog. Isolated mode ignores the settings and packages of the user,
 which could prevent the start."""
@@ -335,7 +335,7 @@ class WatchedPort:
         """
         self._require_beat(b"")
         self._port.write(data)
-        # Repeat the zero command: the first may only complete an incomplete command.
+        # Write two zero commands: the board may take the first as the end of an incomplete command.
         self._require_beat(2 * self._zero)
         return len(data)
 

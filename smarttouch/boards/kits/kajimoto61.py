@@ -6,12 +6,11 @@ On the wire (UART over USB, 921600 8N1, no checksum, no acknowledgment)::
     MEASURE    FE; the reply is 61 readings, then FF. Not used: readings wrap at a third of the
                board's largest voltage, so they do not determine an impedance
 
-The board makes an anodic pulse of 50 µs for each nonzero intensity, in order, each followed by 150
-µs with all outputs grounded. Without packets there are no pulses, so without a host the board is at
-zero.
+The board steps through the intensities in order. For each nonzero intensity it makes an anodic
+pulse of 50 µs, then grounds all outputs for 150 µs. Without packets, no current flows.
 
-A lost or doubled byte shifts one scan by one electrode. Neither board nor driver detects this. The
-second packet after this scan is correct again, because no intensity equals the start byte.
+A lost or doubled byte is not detected. It shifts one scan by one electrode, and the next packet may
+be lost. The packet after that is correct, because no intensity equals the start byte.
 
 After power-on the board tests its source until the first packet arrives. This packet contains only
 zeros, and zeros load no new value into the D/A converter. When the first electrode pulses, the
@@ -38,8 +37,8 @@ ZERO = bytes([STIMULATE]) + bytes(ELECTRODES)
 WIDTH_US, REST_US = 50, 150
 LARGEST = 200
 COUNTS_PER_BYTE = 16
-HURRY = 20  # after a late packet, the next packet may follow 1/20 of a period early
-LEAD_S = 0.003  # delay of all packets of a run, as a reserve if this computer is slow
+HURRY = 20  # after a late packet, the next interval may be shorter by 1/HURRY of a period
+LEAD_S = 0.003  # each packet of a run is sent this much later: a reserve if this computer is slow
 
 
 class Kajimoto61Driver(Driver):

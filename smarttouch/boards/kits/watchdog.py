@@ -1,8 +1,8 @@
 """Watchdog: a small process that sets a board to zero when the program that drives it is gone.
 
 Some boards repeat their last pattern when the program is killed. The watchdog shares the port. When
-the program ends in any way, its end of the ``control`` socket closes; when it hangs or is stopped,
-its heartbeats stop. In both cases the watchdog writes the board's zero command and ends.
+the program exits for any reason, its side of the ``control`` socket closes. When it hangs or is
+suspended, no heartbeats arrive. In both cases the watchdog writes the zero command and exits.
 
 The watchdog has its own POSIX session, so that Ctrl-C, a closed terminal and a kill of the process
 group of the program do not reach it. It imports only the standard library, and starts within about
@@ -21,7 +21,7 @@ import sys
 import time
 
 SILENCE_S = 0.09  # host timeout; leaves time to wake up and write the zero command within 0.1 s
-PRIORITY = 2  # real-time priority, above the program's 1, so that a hanging program cannot block it
+PRIORITY = 2  # real-time priority; the program has 1: if it hangs, it cannot block the watchdog
 STUCK_S = 0.4  # after this time without an accepted byte, the port counts as blocked
 PIECE, PAUSE_S = 8, 0.003  # write the second zero command 8 bytes at a time, with pauses of 3 ms
 GONE, SILENT, BLOCKED = 7, 3, 5
@@ -48,7 +48,7 @@ def watch(port: int, control: int, zero: bytes) -> int:
 
 def write_zero(port: int, zero: bytes) -> bool:
     """Write the zero command twice, the second time in small pieces, because older firmware loses
-    fast bytes. Return whether the port accepted all bytes."""
+    bytes that arrive too fast. Return whether the port accepted all bytes."""
     for size in (len(zero), PIECE):
         for start in range(0, len(zero), size):
             piece = zero[start : start + size]
