@@ -5,7 +5,7 @@ A packet is COBS-encoded and ends with one 0x00. Decoded, all little endian::
     u8  version = 5
     u8  type
     u32 number      counts the packets of one end in one session, from 1 on
-    u8  state       of the board: 1 if its emergency switch is open; else 0
+    u8  state       1 if the emergency switch of the board is open; else 0
     u64 session
     u32 heard       largest number that this end has received from the other, else 0
     u32 about       in SEQUENCE, ACK, NAK and VOLTAGES, number of the sequence; in an
@@ -30,7 +30,7 @@ SILENCE_MS = 100
 ALIVE_MS = 20
 LATE_MS = 250  # a packet is late if the newest ALIVE that it confirms is older than this
 LONGEST_PACKET_MS = 1000  # longest time for which an incomplete packet counts as a sign of life
-HALF = 2**32 - 1  # mask of the lower half of a session number; the host draws it at random
+HALF = 2**32 - 1  # mask of the lower half of a session number; the host draws this half at random
 Output = Literal["weighted", "three-state", "one-against-all"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 
@@ -39,8 +39,8 @@ CAPABILITIES = struct.Struct("<HBBHHHHIIH")
 to zero ms, compliance V, kernel bytes, packet bytes, most kernels. The firmware's name follows."""
 ALIVE = struct.Struct("<h")
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
-"""Payload of LIMITS, up to the values of each electrode. The section on limits in
-``firmware/PROTOCOL.md`` describes all fields."""
+"""First part of the payload of LIMITS; the values of each electrode follow. The section on limits
+in ``firmware/PROTOCOL.md`` describes all fields."""
 SEQUENCE = struct.Struct("<IHHBB")  # period µs, times, intensity, flags, number of pulse shapes
 GROUP = struct.Struct("<BBH")  # kind, pulse shape and number of slots
 POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups

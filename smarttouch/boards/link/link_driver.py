@@ -32,17 +32,17 @@ from smarttouch.stimulation.scan_sequence import KernelTable
 
 HEARTBEAT_S = 0.03  # longest time without a packet of the host; the board's timeout is 0.1 s
 SILENCE_S = 0.5  # silence after which a board is lost: in a session, boards send every 20 ms
-LISTENED_S = 0.1  # a read adds at most this silence: during a longer read, this computer has paused
+LISTENED_S = 0.1  # one read counts as at most this silence: if it took longer, this computer paused
 ANSWER_S = 1.0
 ASKED_AGAIN_S = 0.25  # time after which a query is sent again
-PAUSED_S = 1.0  # a refusal this soon after a pause of this computer is blamed on the pause
+PAUSED_S = 1.0  # for this time after a pause of this computer, a refusal is reported as its effect
 LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
-AFTER_ZERO_S = 0.02  # after a confirmed stop, no slot may follow in this time: a period at 50 Hz
-MOST_COMPLIANCES = 2.1  # largest valid ratio of slot voltage to compliance: 2 between two sources
+AFTER_ZERO_S = 0.02  # time after a confirmed stop in which no slot may follow: one period at 50 Hz
+MOST_COMPLIANCES = 2.1  # largest valid ratio of slot voltage to compliance; two sources can reach 2
 OPEN_SHARE = 0.97  # if all voltages reach this share of the compliance, the finger is lifted
 _PIECE = 1024  # bytes of kernels per packet; longer packets would block the line too long
-_IDLE = 3  # storing kernels has failed after this number of packets without progress
+_IDLE = 3  # give up storing kernels after this number of successive packets without progress
 _COUNTED = "sequences", "slots", "pulses", "violations", "refused_packets"
 
 
@@ -59,8 +59,8 @@ class LinkSession:
     """
 
     line: Line
-    now_s: Callable[[], float] = staticmethod(time.monotonic)  # clock of timeouts
-    now_ns: Callable[[], int]  # clock of sequences
+    now_s: Callable[[], float] = staticmethod(time.monotonic)  # clock that measures timeouts
+    now_ns: Callable[[], int]  # clock by which sequences are planned
     put: Callable[[bytes, ProvedSequence | None], None]  # writes a packet, like `Line.write`
 
     def __init__(
@@ -113,8 +113,8 @@ class LinkSession:
     # -- queries -----------------------------------------------------------
 
     def begin(self, accept: Callable[[Message], None]) -> None:
-        """Begin a session with a board. ``accept`` receives its CAPABILITIES, of any version, and
-        raises an error to reject the board."""
+        """Begin a session with a board. ``accept`` receives the board's CAPABILITIES packet,
+        whatever its version, and raises an error to reject the board."""
         deadline_s = self.now_s() + self.answer_s
         while True:
             accept(self.ask(MessageKind.HELLO))
@@ -137,7 +137,7 @@ class LinkSession:
 
         def answer() -> Message | None:
             reply = self._answers.get(kind)
-            # An answer of another version may lack the number of the query.
+            # A board with another protocol version may answer without the number of the query.
             return reply if reply and (reply.about >= first or reply.version != VERSION) else None
 
         def is_over() -> bool:
@@ -252,7 +252,7 @@ class LinkSession:
 
     def _accept_offer(self, offer: Message) -> bool:
         if offer.version != VERSION:
-            # `begin` passes the packet to ``accept``, which raises an error that names the version.
+            # Take a packet of another protocol version, so that `begin` can report the version.
             return not self.begun
         was_asked = self._asked.pop(offer.about, None) == offer.kind
         if offer.session & HALF != self.number & HALF or not was_asked:
@@ -267,7 +267,7 @@ class LinkSession:
         board's clock, ``sent_ns`` the time of sending, ``now_ns`` the time of the answer. The
         offset between the clocks comes from the fastest of the last 16 answers."""
         if self._ahead_ns and 1000 * board_us + min(self._ahead_ns) < sent_ns:
-            # By the old offset, the sequence began before it was sent: the board's clock paused.
+            # The old clock offset puts the start before the sending: the board's clock has paused.
             self._ahead_ns.clear()
         self._ahead_ns.append(now_ns - 1000 * board_us)
         return 1000 * board_us + min(self._ahead_ns)
@@ -302,8 +302,8 @@ class LinkDriver(Driver):
         self._report: BoardReport  # report at the last opening or reconnection
         self._first: BoardReport  # baseline of counts: report at the last opening or power-on
         self._slots_sent = 0  # slots sent since `_report`; each repetition counts
-        self._unsafe_refused = 0  # largest possible number of sequences refused as unsafe
-        self._suspicion = ""  # fault in voltages, else ""; after a fault, `idle` stops the board
+        self._unsafe_refused = 0  # upper bound of the number of sequences refused as unsafe
+        self._suspicion = ""  # fault seen in measured voltages: `idle` then stops the board
         self._table: KernelTable | None = None
         self._image: encoding.KernelImage | None = None
         self._sent: dict[int, SentPart] = {}  # recent parts by number
@@ -346,8 +346,8 @@ class LinkDriver(Driver):
                     lambda: not self._flight or session.fault is not None or line.is_stopped,
                     session.answer_s,
                 ):
-                    unheard = f"sequence {flight.number} within {session.answer_s:g} s"
-                    raise line.lost(f"has not acknowledged {unheard}")
+                    unheard = f"acknowledged sequence {flight.number} within {session.answer_s:g} s"
+                    raise line.lost(f"has not {unheard}")
                 if session.fault is not None:
                     raise session.fault
                 line.require_running()
@@ -489,7 +489,7 @@ class LinkDriver(Driver):
         image = encoding.KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
         piece = min(_PIECE, can.packet_bytes - encoding.OVERHEAD - protocol.KERNELS.size)
         at, furthest, data, idle = 0, 0, b"", 0
-        # Send only what the board lacks. If it stores nothing new, the packet counts as lost.
+        # Send only kernels that the board lacks. A packet that adds no stored bytes counts as lost.
         while idle < _IDLE:
             head = protocol.KERNELS.pack(image.identity, len(image.data), at)
             answer = self._session.ask(MessageKind.KERNELS, head + data).payload
@@ -525,7 +525,7 @@ class LinkDriver(Driver):
         return replace(BoardReport(*counted), refused_packets=old + foreign, is_busy=bool(busy))
 
     def status(self) -> BoardReport:
-        """Return the board's report; latch the board if it reports current that was not sent."""
+        """Return the board's report. If it reports more than this host sent, latch the board."""
         now, before, limits = self._last_report or self._ask_report(), self._report, self._limits
         largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
         for reported, allowed, unit in (
@@ -535,7 +535,7 @@ class LinkDriver(Driver):
         ):
             if reported > allowed:
                 raise self._line.fault(
-                    f"the board reports {reported:g} {unit}, more than the {allowed:g} possible"
+                    f"the board reports {reported:g} {unit}, but at most {allowed:g} are possible"
                 )
         first = self._first
         counted = {name: max(0, getattr(now, name) - getattr(first, name)) for name in _COUNTED}
@@ -612,7 +612,7 @@ class LinkDriver(Driver):
         line.board.refused += 1
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             self._unsafe_refused += 1
-            # `Rule.RISE`: intensity rises too fast by the board's clock. Restart at intensity 0.
+            # `Rule.RISE`: intensity rose too fast, by the board's clock. Restart at intensity 0.
             lost = line.lost(f"refused sequence {message.about} as unsafe: {words}")
             session.fail(lost if rule == Rule.RISE else BoardError(str(lost)))
         elif why == Refusal.STOPPED and not line.is_stopped:

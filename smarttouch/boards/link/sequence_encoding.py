@@ -93,8 +93,8 @@ def encode_scan(
         elif end - start > 1:
             raise BoardError(
                 f"{end} slots are more than this board accepts at once ({most_slots} slots, "
-                f"{most_bytes} bytes), and a board does not repeat a scan sent in parts: send the "
-                "sequence once per period, with times=1"
+                f"{most_bytes} bytes). A scan can be sent in parts, but a board cannot repeat it: "
+                "send the sequence once per period, with times=1"
             )
         else:
             raise BoardError(
@@ -108,10 +108,10 @@ class _Columns(NamedTuple):
     """Slots of a sequence in encoded form, before they are split into parts."""
 
     shapes: bytes  # table of pulse shapes
-    keys: list[tuple[int, int]]  # kind and index into `shapes` of each slot
-    first: list[int]  # index in ``pairs`` of each slot's first pair; then the number of pairs
+    keys: list[tuple[int, int]]  # for each slot, its kind and the index of its shape in `shapes`
+    first: list[int]  # per slot, index of its first pair in ``pairs``; last item: number of pairs
     pairs: bytes  # pairs of kernel and amplitude
-    rows: bytes  # site and currents of each slot; for one source, see `_switched_rows`
+    rows: bytes  # site and currents of each slot; for boards with one source, see `_switched_rows`
 
 
 def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) -> _Columns:
