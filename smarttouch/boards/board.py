@@ -42,7 +42,7 @@ __all__ = ["Board", "BoardReport", "Capabilities"]
 FARTHEST_NS = 10_000_000_000  # longest time until a planned start; if longer, the clock is wrong
 PROBES = 10  # attempts at each measuring scan, because a busy computer can lose readings
 ENDS_WITHIN_S = 3.0  # longest wait for the end of the sender thread
-QUEUED_S = 0.5  # `send` waits for an empty queue at most this time plus four periods
+QUEUED_S = 0.5  # longest wait of `send` for an empty queue, in addition to 4 sequence periods
 RESTARTS = 3  # attempts to reconnect a lost board
 _MOST_VOLTS = 64
 
@@ -84,8 +84,8 @@ class Board:
     ramp : Ramp
         Ramp of written sequences, which limits the strength of the next one.
     acknowledged, refused, replaced, dropped_late : int
-        Numbers of sequences: begun by the board; refused by the board; replaced by a newer
-        sequence before they were sent; dropped because they were late.
+        How many sequences the board has begun; how many it has refused; how many were replaced by
+        a newer one before they were sent; how many were dropped because they were late.
     force_n : float or None
         Finger force, if the board measures it.
     lifted : bool
@@ -322,7 +322,7 @@ class Board:
 
     @property
     def budget_ua(self) -> int:
-        """Largest current of this board that counts toward the user's total, µA."""
+        """Largest total current of this board, µA; 0 if no finger can touch the board."""
         return self._limits.total_ua if self.on_a_finger else 0
 
     # -- sending -----------------------------------------------------------
@@ -377,7 +377,7 @@ class Board:
         if proved.peak_ua > 1000 * can.max_current_ma:
             # Larger counts could overflow in a driver, which could reverse the current.
             range_ma = f"at most {can.max_current_ma:g} mA, not {proved.peak_ua / 1000:g} mA"
-            raise BoardError(f"this board makes {range_ma}: lower limits.current_ma")
+            raise BoardError(f"this board makes {range_ma}: reduce limits.current_ma")
         try:
             self._number = proved.number
             if self._failure is not None:
@@ -398,8 +398,8 @@ class Board:
             self._gate.restart()
         elif isinstance(error, LineLostError):
             self._recover(error)
-            self.notes.append(f"{error}: restarted")
-            return BoardRestartedError(f"{error}, and was restarted")
+            self.notes.append(f"{error}; the board was restarted")
+            return BoardRestartedError(f"{error}; the board was restarted")
         return error
 
     def close_level(self) -> None:
@@ -549,8 +549,8 @@ class Board:
         )
 
     def report(self) -> BoardReport:
-        """Return the report of delivered sequences: the device's if it reports, otherwise the
-        host's."""
+        """Return the report of delivered sequences. It comes from the device if the device can
+        report, otherwise from the host."""
         reported = self.driver.status()
         if reported is not None:
             return reported
@@ -558,14 +558,14 @@ class Board:
             return self._statistics.report
 
     def start_of(self, number: int) -> tuple[int, int] | None:
-        """Return the start of a sequence, by the number from `send`.
+        """Return the start of the sequence that has this number, as returned by `send`.
 
         Returns
         -------
         (int, int) or None
-            Start by `clock`, ns, and by the board's clock, µs since the board was switched on. The
-            value by `clock` is later than the true start, by the shortest delay of the line. None
-            if the board has not reported this start, or has reported many later starts.
+            Start on `clock`, ns, and on the board's clock, µs since the board was switched on. The
+            time on `clock` is too late by the shortest delay of the line. None if the board has not
+            reported this start, or has reported many later starts.
         """
         return self._starts.get(number)
 
@@ -591,7 +591,7 @@ class Board:
 
     def _require_own(self, use: str = "") -> None:
         """Raise BoardClosedError in a forked process, because its parent owns the board. If ``use``
-        names an action that needs an open board, also raise the error for a closed board."""
+        (an action that needs an open board) is given, also raise it if the board is closed."""
         if self._opened and self._opened_by != os.getpid():
             raise BoardClosedError(
                 f"the board belongs to process {self._opened_by}, which forked this process: make "

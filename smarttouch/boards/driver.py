@@ -73,7 +73,7 @@ class Driver(ABC):
     timing: ScanTiming = ScanTiming()
     """Timing constraints of the device, known before it is opened."""
     port: str | None = None
-    """Name of the device's port, under which faults are recorded, or None."""
+    """Name of the device's port, or None. Faults of a device without a port are not recorded."""
 
     @abstractmethod
     def open(self, line: "Line", limits: SafetyLimits) -> Capabilities:
@@ -98,8 +98,8 @@ class Driver(ABC):
     def write(self, proved: ProvedSequence) -> None:
         """Send a sequence to the device, by `Line.write` or within `Line.current`.
 
-        If the host times the passes (`Capabilities.host_timed`), return after the last pass, or
-        earlier if `Line.has_newer`. The next `Board.send` then raises any error of this call.
+        If the host starts each pass (`Capabilities.host_timed`), return after the last pass, or
+        earlier if `Line.has_newer` is true. Errors are then raised by the next `Board.send`.
         """
 
     @abstractmethod
@@ -113,7 +113,7 @@ class Driver(ABC):
         """
 
     def close(self) -> None:  # noqa: B027, optional for drivers
-        """Release the resources of `open`, even if `open` failed. The board closes the line."""
+        """Release what `open` acquired, even if `open` failed. `Board` itself closes the line."""
 
     def idle(self) -> float | None:
         """Send heartbeats and read answers between writes, in the board's sender thread.
@@ -148,7 +148,7 @@ class Line:
     name : str
         Name of the connected port.
     reopened : bool
-        Whether this is a reconnection, in which `connect` waits for the same device.
+        Whether the connection was lost. If so, `connect` waits until the same device is back.
     now_ns : callable
         Returns the time by the board's clock.
     identity : UsbIdentity or None
@@ -168,7 +168,7 @@ class Line:
         self._entries: SimpleQueue[str] = SimpleQueue()  # lines of the recording; "" ends it
         self._port: Port | None = None
         self._stopped = threading.Event()
-        # Reentrant: a signal handler may stop the board in a thread that is just writing.
+        # Reentrant: a signal handler may interrupt a write and stop the board in the same thread.
         self._lock, self._dialogue = threading.RLock(), threading.RLock()
         self._zeroing: list[int] = []  # ids of threads in `Driver.zero`, one for each nested call
 
@@ -287,8 +287,8 @@ class Line:
                     self._put_at_zero()
 
     def later(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
-        """Return a copy of a proved sequence that starts later, at ``due_ns``. Drivers need copies
-        for repetitions that the host times, and after a wait for an earlier sequence.
+        """Return a copy of a proved sequence, with the later start ``due_ns``. Drivers need a copy
+        for each repetition that the host starts, and after a wait for an earlier sequence.
 
         Raises
         ------
@@ -413,7 +413,7 @@ class Line:
         """Return the error for a sequence that is dropped because it is late."""
         late_ms = self.board._late_ns // 1_000_000
         return SequenceLateError(
-            f"this computer was too slow: sequences were over {late_ms} ms late and were skipped, "
+            f"this computer was too slow: sequences more than {late_ms} ms late were skipped, "
             "and intensity restarts at zero"
         )
 

@@ -17,8 +17,8 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 SATURATED = 0.97  # share of the compliance at which a source counts as saturated
 OPEN_FACTOR = 5.0
 SHORT_FACTOR = 0.1
-"""An electrode counts as shorted below this share of the median impedance (our estimate). Good
-electrodes differ by a factor of two or three."""
+"""An electrode counts as shorted if its impedance is below this share of the median impedance. The
+share is our estimate: good electrodes differ by a factor of two or three."""
 
 Array = NDArray[np.float64]
 Condition = Literal["good", "open", "short", "unsure"]  # unsure: measurements disagree
@@ -70,8 +70,8 @@ def measure_by_probes(
 
 
 def _from_pairs(probe: ScanSequence, volts: Array, compliance_v: float) -> Impedance:
-    """Return the impedance of each electrode, by least squares. The voltage of a conducting pair of
-    electrodes is I (Zᵢ + Zⱼ). An electrode without a conducting pair counts as open."""
+    """Return the impedance of each electrode, by least squares. With the current I, the voltage of
+    a conducting pair is I · (Zᵢ + Zⱼ). An electrode without a conducting pair counts as open."""
     level_ua = int(probe.current_ua.max(initial=0))
     conducts = volts < SATURATED * compliance_v
     pairs = (probe.current_ua[conducts] != 0).astype(np.float64)
@@ -82,8 +82,8 @@ def _from_pairs(probe: ScanSequence, volts: Array, compliance_v: float) -> Imped
 def judge(volts: Array, current_ma: float | Array, compliance_v: float) -> Impedance:
     """Return impedances. ``volts``, (E,), is the voltage of each electrode against all others.
 
-    The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ). Iteration solves this equation for Z. It
-    converges because the impedance of the parallel return path is small.
+    With the current I, electrode i has the voltage I · (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ). Iteration solves this
+    for Z. It converges because the impedance of the parallel return path is small.
     """
     total = np.asarray(volts, np.float64) / np.asarray(current_ma, np.float64)
     saturated = np.asarray(volts) >= SATURATED * compliance_v

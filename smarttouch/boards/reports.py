@@ -60,9 +60,9 @@ class Capabilities:
         """Return the capabilities as names and values, for display."""
         silence = "repeats its last pattern forever: lift the finger before you unplug the board"
         if self.time_to_zero_ms is not None:
-            silence = f"at zero {self.time_to_zero_ms:g} ms after the host's last byte"
+            silence = f"goes to zero {self.time_to_zero_ms:g} ms after the host's last byte"
         if self.kept_ms is not None:
-            kept = f"at zero {self.kept_ms:g} ms after the program ends or hangs"
+            kept = f"goes to zero {self.kept_ms:g} ms after the program ends or hangs"
             silence = f"{kept}; without the watchdog {silence}"
         names = ("acknowledgments", "voltages", "finger force")
         reported = compress(names, (self.acknowledges, self.measures, self.force))
@@ -84,7 +84,7 @@ class BoardReport:
     sequences: int
     slots: int
     pulses: int
-    """Number of electrode pulses: one for each electrode with current in each slot."""
+    """Number of electrode pulses: a slot adds one for each electrode that carries current."""
     violations: int
     max_current_ma: float
     max_charge_uc: float
@@ -96,12 +96,12 @@ class BoardReport:
     is_busy: bool = False
     """Whether the board still has sequences to deliver."""
     refused_by_host: int = 0
-    """Number of packets that the host refused as old, of another session, or not requested."""
+    """Number of packets that the host refused: old, of another session, or not requested."""
     by: Literal["board", "host"] = "board"
     """Author of the report, board or host."""
     most_pulses: int | None = None
-    """Largest possible number of pulses, if the host does not know the exact number. `slots` and
-    `pulses` are then the smallest possible numbers."""
+    """Upper bound of the number of pulses; None if the board reports. If it is above `pulses`, the
+    host does not know the exact number, and `slots` and `pulses` are lower bounds."""
 
 
 class HostStatistics:
@@ -115,7 +115,7 @@ class HostStatistics:
         self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None
     ) -> None:
         """Add ``times`` passes of a sequence. If ``most`` is given, the number of passes is between
-        ``times`` and ``most``. With ``again``, the sequence itself is already counted."""
+        ``times`` and ``most``. With ``again``, the sequence was counted before: add only passes."""
         most, old = times if most is None else most, self.report
         pulses = int(np.count_nonzero(sequence.current_ua))
         peaks_ua = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1) * (most > 0)

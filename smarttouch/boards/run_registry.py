@@ -86,7 +86,7 @@ class _Run:
         with suppress(OSError):
             number = os.open(self.path("lock"), os.O_RDWR | O_NOFOLLOW)
             try:
-                # Use a shared lock, so that simultaneous checks do not see each other's lock.
+                # Use a shared lock: another check must not mistake this lock for the lock of a run.
                 return not try_lock(number, shared=True)
             finally:
                 os.close(number)
@@ -104,7 +104,7 @@ class _Run:
         name, late = self.name, False
         while not late:
             late = time.monotonic() > until_s
-            # First check for the end, then for the answer: a run may answer and end in between.
+            # Check for the end first: otherwise an answer just before the end could be missed.
             ended = self.has_ended
             withdrawn = registry_folder().exists() and not (self.has("json") or self.is_locked)
             if self.has("unconfirmed"):
@@ -151,9 +151,9 @@ class RunEntry:
         return os.path.lexists(self._stop_file)
 
     def declare(self, current_ua: int, most_ua: int = 0) -> int:
-        """Record the current of this process, µA, and return the sum of the currents of all
-        processes. If the sum exceeds ``most_ua``, record nothing. If the current is not larger than
-        the recorded one, record it without a check, and return this current, not the sum."""
+        """Record the current of this process, µA. If it is not larger than the one recorded before,
+        record it without a check and return it. Otherwise, return the sum of the currents of all
+        processes, and record the current only if the sum does not exceed ``most_ua``."""
         if current_ua <= self._run.current_ua:
             self._announce(current_ua)
             return current_ua
@@ -219,7 +219,7 @@ def stop_all() -> list[Answer]:
     """
     global _begun_ns
     problems, asked = [], []
-    # Count this program as started after the stop: it may open boards to set them to zero.
+    # Act as if this program started only now: it may still open boards to set them to zero.
     _begun_ns = now_ns()
     # Write the file ``stopped`` before listing runs: runs that register later read it and end.
     try:
@@ -271,11 +271,11 @@ def _start_ns(pid: int) -> int:
         return 0
 
 
-_begun_ns = _start_ns(os.getpid()) or now_ns()  # start of the program, also in forked processes
+_begun_ns = _start_ns(os.getpid()) or now_ns()  # program start; a forked process keeps the value
 
 
 def _place() -> tuple[str, str, str]:
-    """Return host, boot id and PID namespace. A process id is unique within all three."""
+    """Return host, boot id and PID namespace: together they make a process id unique."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return socket.gethostname(), boot, str(Path("/proc/self/ns/pid").readlink())

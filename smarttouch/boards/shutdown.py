@@ -1,7 +1,7 @@
 """Shutdown of this process by a signal or by ``smarttouch stop``.
 
-A process has one entry in the run registry, for its open boards, its runs, and a command that will
-open a board. While there is an entry, SIGTERM, SIGHUP and Ctrl-C set all boards to zero and then
+A process has an entry in the run registry while it has open boards, has runs, or executes a command
+that will open a board. During this time, SIGTERM, SIGHUP and Ctrl-C set all boards to zero and then
 end the process. A thread sets the boards to zero, even if the main thread is blocked.
 """
 
@@ -79,7 +79,7 @@ class _Process:
         try:
             if self.entry is None and not self.reason:
                 self.entry = RunEntry(self._stop_requested)
-            # Register first, then check: a stop before the registration did not find this entry.
+            # Register first, then check for a stop: an earlier stop has not seen this entry.
             if self.reason or self.entry is None or self.entry.is_asked or stopped_since_start():
                 raise BoardStoppedError(
                     f"this program was stopped by {self.reason or 'smarttouch stop'}, and can "
@@ -95,7 +95,7 @@ class _Process:
         if total_ua > most_ua:
             raise BoardError(
                 f"all displays of this user together could drive {total_ua / 1000:g} mA, more than "
-                f"the allowed {CEILING_USER_MA:g} mA: close another display or lower "
+                f"the allowed {CEILING_USER_MA:g} mA: close another display or reduce "
                 "limits.total_ma in the profile"
             )
 
@@ -121,7 +121,7 @@ class _Process:
         """Set all boards to zero and ask all runs to end; return whether all boards have confirmed
         zero. With ``for_good``, no board can be opened afterwards."""
         # Do not take the lock: a thread that waits for the disk may hold it. Set `reason` before
-        # reading `boards`: if a board is registered after that, `announce` fails.
+        # reading `boards`: `announce` then refuses each board that is registered later.
         if for_good:
             self.reason = self.reason or reason
         boards, entry = [*self.boards], self.entry
@@ -138,7 +138,7 @@ class _Process:
         for board in boards:
             threading.Thread(target=bring_to_zero, args=(board,), daemon=True).start()
         deadline_s = time.monotonic() + ZERO_WITHIN_S
-        # Wait until each board is at zero: a thread above has stopped it, or its run closed it.
+        # Wait until each board is at zero. A thread started above stops it, or its run closes it.
         while self.boards and time.monotonic() < deadline_s:
             time.sleep(0.002)
         # A board that has not confirmed zero stays in the run registry until it is closed.
@@ -201,8 +201,8 @@ class _Signals:
             interrupt(RunStopped(self.number, _process.reason or None))
 
     def _set_wakeup(self, descriptor: int) -> bool:
-        """Let Python write the number of each signal to ``descriptor``, unless an event loop
-        already receives the numbers. Return whether this object already received them."""
+        """Let Python write each signal's number to ``descriptor``, unless an event loop receives
+        the numbers. Return whether this object was the receiver before the call."""
         before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
         if before not in (-1, self._wakes.fileno()):
             signal.set_wakeup_fd(before)
@@ -238,7 +238,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows
 
 
 def enter(board: "Board") -> None:
-    """Register a board before it is opened, if a stop must reach it. Raises BoardError if this
+    """If a stop must reach a board, register it before it is opened. Raises BoardError if this
     program was stopped, or if all displays of the user together could drive too much current."""
     if not board.announced:
         return
@@ -297,9 +297,9 @@ def running_command(give_up: Callable[[int], None]) -> Iterator[Command]:
 
 @contextmanager
 def stoppable_run(stop: StopRequest, board: "Board") -> Iterator[Callable[[], None]]:
-    """Register a run during the ``with`` block and yield a function. If the run is in the main
-    thread, a signal raises RunStopped or KeyboardInterrupt in the block at once. After a call of
-    the function, the first signal raises the exception only at the end of the block."""
+    """Register a run during the ``with`` block. If the run is in the main thread, a signal raises
+    RunStopped or KeyboardInterrupt in the block at once. Yield a function that defers this: once it
+    is called, the first signal raises the exception only at the end of the block."""
     if not board.announced:
         yield lambda: None
         return
