@@ -106,8 +106,7 @@ class TcpLine:
 def replayed(path: Path | str) -> Iterator[str]:
     """Replay a recorded device during a ``with`` block, which gets the name of its port.
 
-    At the end of the block, raises BoardError if a byte from the host differs from the recording.
-    """
+    At the end of the block, raises BoardError if bytes from the host differ from the recording."""
     with contextlib.closing(Replay(Path(path))) as replay, ThreadPoolExecutor(1) as pool:
         served = pool.submit(replay.serve)
         try:

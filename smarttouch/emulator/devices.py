@@ -1,5 +1,5 @@
-"""Emulated boards and sensors by URL, as in ``smarttouch devices emulate "link?electrodes=16"``,
-and the server that connects an emulated device to a port."""
+"""Functions that emulate the board or sensor that a URL names, as in ``smarttouch devices emulate
+"link?electrodes=16"``, and the server that connects an emulated device to a port."""
 
 import math
 import signal
@@ -33,7 +33,7 @@ SENSORS = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
 COUNTS_PER_N, ZERO_COUNTS = 50_000.0, 80_000.0  # load cell: counts per newton, and reading at 0 N
 _NOISE_COUNTS, _LARGEST_RAW = 60.0, 2**23 - 1
 _LONGEST_WAIT_S = 0.02
-_BEHIND_NS = 100_000_000  # longest delay after which a sensor still sends missed measurements
+_BEHIND_NS = 100_000_000  # a sensor that is late by more than this skips measurements
 _BLOCK, _SIDE, _PATTERN_SIDE = 4, 64, 1024
 _PATTERN_PIXELS_S = 40
 _FIRST_HOST_S = 8.0  # wait for the first host, in addition to ``linger``
@@ -42,11 +42,10 @@ _FULL_WAIT_S = 0.0005  # pause between attempts to write the rest of a message
 
 
 def emulate(url: str, advise: bool = False) -> None:
-    """Emulate the device of a URL, or replay the file of a recorded line; print the port's name.
+    """Emulate the device that a URL names, or replay a recorded device from a file.
 
-    Options of the URL are those of `emulate_board` or `emulate_sensor`. With ``advise``, print
-    instructions for the use of the port, not only its name.
-    """
+    Print the name of the port; with ``advise``, print instructions that contain the name. Options
+    in the URL are parameters of `emulate_board` or `emulate_sensor`."""
     if (recording := file_at(url)) is not None:
         with closing(Replay(recording)) as replay:
             print(replay.name, flush=True)
@@ -73,12 +72,12 @@ def emulate_board(
     books: Path | None = None,
     linger: float = math.inf,
 ) -> None:
-    """Emulate a board on a model of the skin until Ctrl-C or ``linger`` seconds without a host.
+    """Emulate a board on a model of the skin.
 
-    ``output`` and ``ramp_ms`` apply to link boards only, ``firmware`` to the eTactileKit only.
-    ``ramp_ms`` is the time from zero to full intensity. ``tcp`` asks for a TCP port. The module
-    `skin` describes the text of an ``event``. ``books`` is an existing folder for the delivery log.
-    """
+    End after Ctrl-C, or when no host has been connected for ``linger`` seconds. ``output`` and
+    ``ramp_ms``, the time from zero to full intensity, apply to link boards only; ``firmware``
+    applies to the eTactileKit only. With ``tcp``, the port is a TCP port. The module `skin`
+    describes the text of an ``event``. ``books`` is an existing folder for the delivery log."""
     default, least, largest = BOARDS[name]
     electrodes = default if electrodes is None else electrodes
     require_within(SmartTouchError, "electrodes", electrodes, least, largest)
@@ -109,8 +108,8 @@ def emulate_sensor(
     force: float = 0.5,
     linger: float = math.inf,
 ) -> None:
-    """Emulate a sensor until Ctrl-C or ``linger`` seconds without a host. ``rate`` is in Hz;
-    ``force``, N, acts on an emulated load cell."""
+    """Emulate a sensor until Ctrl-C, or until no host has been connected for ``linger`` seconds.
+    ``rate`` is in Hz; ``force``, N, acts on an emulated load cell."""
     rate_hz = SENSORS[name] if rate is None else rate
     require_within(SmartTouchError, "rate", rate_hz, 0.01, 2000.0)
     require_within(SmartTouchError, "force", force, -1e9, 1e9)
@@ -164,7 +163,7 @@ class Server:
             signal.signal(number, end)
         books = self._firmware.books
         books.write()
-        # Set the handlers first: a program that reads the name may send a signal at once.
+        # Print the port's name after setting the handlers: its reader may send a signal at once.
         print(instructions or self._line.name, flush=True)
         clock = DeviceClock(self._firmware.longest_step_ns)
         written_ns = 0
@@ -185,7 +184,8 @@ class Server:
         books.write()
 
     def step(self, data: bytes | None, now_ns: int) -> None:
-        """Pass ``data`` from the host (None without a host) to the firmware; send its answers."""
+        """Pass ``data``, the bytes from the host, to the firmware, and send the firmware's answers.
+        ``data`` is None if no host is connected."""
         firmware, had_host = self._firmware, self._hosted
         self._hosted = data is not None
         if data is None:

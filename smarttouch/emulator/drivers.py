@@ -35,12 +35,12 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 _HEARTBEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest pause between packets of the host
 _STEP_NS = 20_000  # while the host waits for an answer, simulated time advances in these steps
 _LONGEST_GAP_NS = 1000 * (link_rules.KEPT_US + link_rules.SECOND_US)
-"""Longest simulated pause between sequences. A longer pause would change nothing: after this one,
-the ramp has restarted, and the limits per second count no earlier pulse."""
+"""Longest simulated pause between sequences. A longer pause would have the same effect: after this
+pause, the ramp restarts, and the limits per second do not count pulses before the pause."""
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
-"""Delivered pulses: the number of the sequence, (N,), the width, (N,) µs, and the current, (N, E)
-µA, positive cathodic."""
+"""Three arrays that describe N delivered pulses. They have the number of the sequence, (N,); the
+width, (N,) µs; and the currents, (N, E) µA, positive cathodic."""
 
 
 @dataclass
@@ -161,7 +161,8 @@ class SimulatedDriver(LinkDriver):
         """Return the simulated time at which a sequence with this time stamp begins, ns."""
         now_ns, before_ns, self._stamp_ns = self._session.now_ns(), self._stamp_ns, stamp_ns
         if not self._number or stamp_ns < before_ns:
-            # Begin now: the sequence is the first, or its time stamp is earlier than the last one.
+            # Begin the sequence now. It is the first one, or its time stamp is earlier than that of
+            # the previous sequence.
             self._ahead_ns = stamp_ns - now_ns
         gap_ns = stamp_ns - self._ahead_ns - now_ns
         self._ahead_ns += max(0, gap_ns - _LONGEST_GAP_NS)
@@ -202,7 +203,7 @@ class MemoryDriver(Driver):
 
 _STARTS_WITHIN_S = 30.0  # time limit for the start of the process, which busy computers delay
 _ENDS_WITHIN_S = 3.0
-_FIRST_HOST_S = 5.0  # a process that waits longer for its first host is not used: it ends after 8 s
+_FIRST_HOST_S = 5.0  # do not begin to use an older process: without a host, it ends itself at 8 s
 _ANSWERS_WITHIN_S = 5.0  # longest allowed silence of the emulator, which a busy computer delays
 
 

@@ -7,12 +7,11 @@ off. The answer to READINGS has the last voltage of each electrode.
 The firmware of commit 71adee2 does not parse commands during a scan. If a scan takes longer than
 its period, the next scan follows immediately, and the parser never runs again. Without a host, this
 firmware repeats its last pattern forever. The newest firmware parses commands on a second core.
-Half a second after the host has gone, it sets all amplitudes to zero. On the real board, the host
-has gone when it closes the USB port. This emulator counts from the last byte.
+Half a second after the host has gone, the newest firmware sets all amplitudes to zero. On the real
+board, the half second begins when the host closes the USB port; here, at the host's last byte.
 
 Two assumptions are not in the published source. Between pulses, outputs are grounded; if the
-discharge time is 0, they are unconnected. Outputs beyond the electrode count are unconnected.
-"""
+discharge time is 0, they are unconnected. Outputs beyond the electrode count are unconnected."""
 
 import math
 from dataclasses import dataclass
@@ -144,7 +143,7 @@ class ETactileKitFirmware(KitFirmware):
                 self._next_ns = max(now_ns, self._started_ns + self._period_ns())
         elif code == COUNT:
             if self._newest:
-                # In the newest firmware, electrodes added to the scan start at zero.
+                # In the newest firmware, an electrode has zero amplitude when it joins the scan.
                 self._heights[count:value] = [0] * max(0, value - count)
             self._set[COUNT] = value
         else:

@@ -127,8 +127,7 @@ def read_slots(folder: Path, recharges: bool = False) -> NDArray[Any]:
 
     Fields are ``number``, ``slot``, ``site``, ``time_us`` and, for each electrode, (E,):
     ``current_ua`` (mean over the pulse), ``charge_uc`` (of the pulse), ``volts`` (against tissue at
-    the end of the pulse), ``residual_uc`` (left after the discharge). All are positive cathodic.
-    """
+    the end of the pulse), ``residual_uc`` (left after the discharge). All are positive cathodic."""
     kind = _record(int(str(read_state(folder)["electrodes"])))
     data = (folder / DELIVERED_FILE).read_bytes()
     records = np.frombuffer(data[: len(data) // kind.itemsize * kind.itemsize], kind)
@@ -264,8 +263,7 @@ class KitFirmware(Firmware):
         Return the reading of the A/D converter at the end of the pulse. One pole is
         ``electrode``; the other pole is all other outputs from 0 to ``among`` − 1. ``current_ua``
         is positive cathodic. If ``grounded``, outputs were grounded before the pulse; otherwise
-        they were unconnected. If ``more``, another pulse of the slot follows.
-        """
+        they were unconnected. If ``more``, another pulse of the slot follows."""
         self._finger.at(start_ns / 1e9, self._skin)
         if start_ns > self._rested_ns:
             pass_time = self._skin.short if grounded else self._skin.idle

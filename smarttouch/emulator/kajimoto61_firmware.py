@@ -1,11 +1,10 @@
 """Emulated firmware of the 61-electrode ESP32 kit, with the bytes and faults of the real firmware.
 
-The firmware checks nothing, waits forever for the rest of an incomplete packet, and its readings
-wrap around. From power-on until the first STIMULATE, it tests its current source without driving an
-electrode; meanwhile it answers MEASURE. A STIMULATE of zeros causes no pulse. The D/A converter
-keeps the last value of the test until the next pulse. If STIMULATE causes this pulse, the pulse
-begins with the kept value, until the converter has loaded the right one.
-"""
+The firmware checks nothing, and waits forever for the rest of an incomplete packet. A reading that
+is too large for a byte wraps around. From power-on until the first STIMULATE, the firmware tests
+its current source without driving an electrode; meanwhile it answers MEASURE. A STIMULATE of zeros
+causes no pulse. After the test, the D/A converter keeps the test's last value until the next pulse.
+A pulse of STIMULATE then has this value at first, until the converter has loaded the right one."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -144,7 +143,8 @@ class Kajimoto61Firmware(KitFirmware):
             self.books.sequences += 1
 
     def _connect_early(self, scan: _Scan, electrode: int, start_ns: int) -> int:
-        """Deliver the self-test current that the converter keeps. Return how long it flows, ns."""
+        """Deliver the current of the last value of the self-test, which the D/A converter still
+        holds. Return how long this current flows, ns."""
         self._pulse(
             scan.number, electrode, -self._loaded_ua, LOADING_US, start_ns, among=ELECTRODES,
             rest_us=0, grounded=False, more=True,

@@ -1,7 +1,6 @@
 """Emulated firmware of the ``link`` board: a state machine to which the caller passes the time.
 
-Its checks of sequences are in `link_rules`; the host checks sequences with other code.
-"""
+Its checks of sequences are in `link_rules`; the host checks sequences with other code."""
 
 from dataclasses import dataclass, field
 

@@ -1,7 +1,6 @@
 """Sessions, kernels and sequences of the ``link`` protocol in an emulated board.
 
-The code is independent of the host's, so that an error in either shows up as a difference.
-"""
+The code is independent of the host's, so that an error in either shows up as a difference."""
 
 import struct
 from collections import deque
@@ -33,7 +32,8 @@ def encode_volts(volts: NDArray[np.float64]) -> bytes:
 
 
 class BoardSession:
-    """Current session, and challenge for the next. ``draw`` returns 32 random bits, not all 0."""
+    """Newest session, and the challenge that opens the next session. ``draw`` returns 32 random
+    bits, which are not all 0."""
 
     def __init__(self, draw: Callable[[], int] = protocol.draw_half) -> None:
         self.state = 0  # state of the board, which it sends in each packet
@@ -45,8 +45,9 @@ class BoardSession:
         self._challenge = draw()
         self._taken = self._said = 0
         self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // protocol.ALIVE_MS)
-        """Time, ns, and number of each of the last ALIVE packets."""
-        self._hellos: dict[int, tuple[int, int]] = {}  # by host: last HELLO number, HELLO count
+        """For each of the last ALIVE packets: its time, ns, and its number."""
+        self._hellos: dict[int, tuple[int, int]] = {}
+        """For each host: number of its last HELLO or BEGIN, and how many HELLO packets it sent."""
 
     def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the next packet of the board in the session."""
@@ -121,8 +122,9 @@ class BoardSession:
     def _refusal_of(self, message: Message, began_ns: int) -> Refusal | None:
         if message.version != VERSION or not self.number or message.session != self.number:
             return Refusal.FOREIGN
-        # A packet is late if the newest packet that it confirms is not newer than a stale ALIVE.
-        # An ALIVE is stale if the board sent it more than `LATE_MS` before this packet began.
+        # The host confirms, in each packet, the newest packet that it has received from the board.
+        # An ALIVE is stale if the board sent it more than `LATE_MS` before the host's packet began
+        # to arrive. The host's packet is late if it confirms nothing newer than a stale ALIVE.
         stale = (number for sent_ns, number in self._alive if sent_ns < began_ns - LATE_MS * _MS)
         # STOP is never late: it must work even if the host receives nothing.
         late = message.kind != MessageKind.STOP and message.heard <= max(stale, default=-1)
@@ -131,10 +133,8 @@ class BoardSession:
 
 @dataclass(frozen=True, eq=False)
 class ReceivedSequence:
-    """Received sequence of S slots, with P pairs of kernel and amplitude.
-
-    ``recharge_ua`` has shape (E,); it is None without a recharge phase.
-    """
+    """Received sequence of S slots, with P pairs of kernel and amplitude. ``recharge_ua`` has shape
+    (E,); it is None without a recharge phase."""
 
     period_us: int
     times: int
@@ -231,7 +231,8 @@ def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8
 
 def rounded(sums: NDArray[np.int64]) -> NDArray[np.int64]:
     """Convert sums of scaled kernels, (…, E), to whole µA, so that all currents sum to zero."""
-    # Round the cumulative sums. The last one stays 0, so their differences add up to 0.
+    # Round cumulative sums, and return the differences of successive sums. The last cumulative sum
+    # stays 0, so the differences add up to 0.
     return np.diff((np.cumsum(sums, axis=-1) + 65_536) >> 17, axis=-1, prepend=0)
 
 
@@ -275,7 +276,8 @@ class KernelStore:
                 self._forget()
 
     def proof(self, session: int) -> bytes:
-        """Return a digest that proves to the host which kernels are stored; zeros if incomplete."""
+        """Return a digest that proves to the host which kernels are stored. All its bytes are 0
+        until all kernels are received."""
         return _NOTHING if self.weights is None else protocol.digest_of(bytes(self._data), session)
 
     def _read(self) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:

@@ -1,8 +1,7 @@
 """Rules of the ``link`` board, in the order of ``firmware/PROTOCOL.md``, computed in integers.
 
-The rules limit single sequences, the ramp, and the pulses and charges of a second and a session.
-Times are on the board's clock, in µs; charges are in pC.
-"""
+The rules limit each sequence and the ramp. They also limit the pulses and the charges within one
+second and within one session. Times are on the board's clock, in µs; charges are in pC."""
 
 from collections import deque
 from copy import copy
@@ -35,13 +34,13 @@ the board does not know the detection thresholds."""
 MAX_RECHARGE_US = 20_000
 MAX_RECHARGE_PC = 2_000_000
 STRENGTH = 4  # largest ratio of strength to ``share``, see `SessionLimits.strength`
-BUCKET_US = 50_000
-BUCKETS = 20  # number of buckets in the last second, in addition to the current bucket
+BUCKET_US = 50_000  # duration of a bucket; a pass belongs to the bucket in which it ends
+BUCKETS = 20  # the last second has this number of buckets, without the current bucket
 SECOND_US = 1_000_000
 MOST_CHARGE_PC = 500_000_000
 MOST_NET_PC = 50_000_000
 RAMP_MS = 500  # shortest time from zero to full intensity
-CATCH_UP_US = 150_000  # strength may exceed the ramp by its rise in this time: packets can be late
+CATCH_UP_US = 150_000  # strength may be ahead of the ramp by this time, because packets can be late
 KEPT_US = 15_000_000  # time without current after which the ramp restarts
 _LEEWAY = 2  # tolerance for the rounding of an intensity, in units of 1/65,535
 
@@ -84,7 +83,8 @@ class Load(NamedTuple):
     pulses_us: int  # duration of all pulses and the recharge phase, without discharge
 
     def after(self, before: "Load") -> "Load":
-        """Return the sum of this load and ``before``, with the larger value of each peak."""
+        """Return the total of this load and ``before``. Add counts, charges and durations. Keep
+        the larger value of each peak."""
         return Load(
             before.each + self.each, max(before.peak_ua, self.peak_ua),
             max(before.peak_pc, self.peak_pc), before.busy_us + self.busy_us,
@@ -133,9 +133,9 @@ class SessionLimits:
         )  # fmt: skip
 
     def strength(self, intensity: int, peak_pc: int) -> int:
-        """Return the strength of a sequence, the quantity that the ramp limits. The strength is the
-        intensity, limited to the range from ``share`` to `STRENGTH` times ``share``, and to `FULL`.
-        ``share`` is ``peak_pc`` relative to the charge of a full pulse."""
+        """Return the strength of a sequence; the ramp limits how fast the strength rises. It is the
+        intensity, but at least ``share``, at most `STRENGTH` times ``share``, and never above
+        `FULL`. ``share`` is ``peak_pc`` relative to the charge of a full pulse."""
         share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
         return min(FULL, max(share, min(intensity, STRENGTH * share)))
 
@@ -163,8 +163,8 @@ class LastSecond:
         self.session: NDArray[np.int64] = self._none  # (3, E): sum of `Load.each` in the session
 
     def begin(self, start_us: int, period_us: int, load: Load, goes_on: bool) -> None:
-        """Add a pass that begins at ``start_us``. With ``goes_on``, the pass continues a scan. The
-        start and period of the scan are already counted."""
+        """Add a pass that begins at ``start_us``. If ``goes_on``, the pass continues a scan, whose
+        start and period are already counted."""
         if not goes_on:
             self._starts_us.append(start_us)
             self.session_us += period_us * (load.busy_us > 0)
@@ -232,29 +232,28 @@ class LastSecond:
 
 
 def _most_net(window: NDArray[np.int64], net_pc: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return, for each electrode, the largest absolute sum of ``net_pc`` and the net charges of the
-    latest k passes, over all k from 0, (E,)."""
+    """Add ``net_pc`` and the net charges of the latest k passes in ``window``, for each k from 0.
+    Return the largest absolute sum for each electrode, (E,)."""
     runs = np.cumsum([net_pc, *window[:, 2]], axis=0)
     return np.asarray(np.abs(runs).max(axis=0))
 
 
 class Ramp:
     """Slew limit: intensity rises only while current flows, and only to the sequence's strength.
-
-    ``ramp_ms`` is the shortest time from zero to full intensity; 0 turns off the ramp in tests.
-    """
+    ``ramp_ms`` is the shortest time from zero to full intensity; 0 turns off the ramp in tests."""
 
     def __init__(self, ramp_ms: int = RAMP_MS) -> None:
         self._own_ms = ramp_ms
         self.restart(ramp_ms)
 
     def restart(self, ramp_ms: int) -> None:
-        """Restart at zero intensity, with the longer of ``ramp_ms`` and the constructor's time."""
+        """Restart at zero intensity. The shortest time to full intensity is the longer of
+        ``ramp_ms`` here and in the constructor."""
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
         self._level = self._strength = self._since_us = self._span_us = 0
 
     def _reached(self, now_us: int) -> tuple[int, int]:
-        """Return the intensity reached, and the time with current since the last `note`, µs."""
+        """Return the intensity reached, and how long current flowed since the last `note`, µs."""
         on_us = max(0, min(now_us - self._since_us, self._span_us))
         if now_us - self._since_us - on_us > KEPT_US:
             return 0, on_us
@@ -326,7 +325,8 @@ class LinkRules:
 
     def check(self, sequence: ReceivedSequence, start_us: int, real_us: int) -> BrokenRule | Load:
         """Compute the currents of kernels. Return the first violation, or the load of one pass. The
-        first pass begins at ``start_us``; a clock that never stands still shows ``real_us``."""
+        first pass begins at ``start_us`` on the board's clock, which can stand still, and at
+        ``real_us`` on a clock that never stands still."""
         scan, limits = self._scan, self.limits
         if not sequence.goes_on:
             scan = _Scan(sequence, real_us, copy(self._ramp), self._none)
@@ -424,8 +424,8 @@ class LinkRules:
         return first_above(rule, values[slot], allowed, slot)
 
     def _fill_in(self, sequence: ReceivedSequence) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Compute currents and sites of kernel slots. Return two arrays, (S,): the first kernel of
-        each slot that is not stored, or -1; and the sum of the slot's amplitudes."""
+        """Compute currents and sites of slots that list kernels. Return two arrays, (S,): for each
+        slot, its first kernel that is not stored (or -1), and the sum of its amplitudes."""
         keep, (slot, kernel, amplitude) = self.keep, sequence.pairs.T
         missing, sums = np.full((2, sequence.slots), [[-1], [0]], np.int64)
         np.add.at(sums, slot, amplitude)

@@ -48,7 +48,8 @@ relative to the previous step; place within a step at which the current is compu
 to 1 (end). Finer steps change results by at most 3 %."""
 _SHORT_STEPS, _SHORT_GROWTH = 3, 3.0
 """Time steps of a discharge: number of steps; length of each step relative to the step before. If
-electrodes differ by up to 15 %, the error is below 1 % of the initial charge."""
+the impedances of electrodes differ by up to 15 %, the error of the remaining charge is below 1 % of
+the initial charge."""
 _LONGEST_SHORT_US = 2000.0
 _MOST_WIDTHS = 64
 
@@ -91,7 +92,7 @@ class SkinCircuit:
         self.scale(np.ones(electrodes), np.ones(electrodes))
 
     def scale(self, resistance: NDArray[np.float64], capacitance: NDArray[np.float64]) -> None:
-        """Set impedances to the initial values times factors, (E,); keep all voltages."""
+        """Multiply initial resistances and capacitances by factors, (E,); keep all voltages."""
         series, parallel, capacity = self._healthy
         self.series_ohm: NDArray[np.float64] = series * resistance
         self.parallel_ohm: NDArray[np.float64] = parallel * resistance
@@ -143,8 +144,9 @@ class SkinCircuit:
         shunt_ohm: float = np.inf,
     ) -> Delivered:
         """Drive one source for ``width_us``. ``state``, (E,), is 1 for cathode, −1 for anode, 0 for
-        insulated; no current flows without both poles. Within a pole, the current divides by the
-        impedances of the electrodes. ``shunt_ohm`` is a load in parallel with the skin."""
+        insulated. No current flows unless there are a cathode and an anode. The electrodes of one
+        pole share the current. An electrode with more impedance gets less of the current.
+        ``shunt_ohm`` is a load in parallel with the skin."""
         poles = np.array([state > 0, state < 0])
         if not poles.any(axis=1).all() or not width_us:
             self.idle(width_us)
@@ -183,8 +185,8 @@ class SkinCircuit:
 
     def short(self, duration_us: float) -> None:
         """Short all electrodes. Each capacitance discharges through R_p, and through R_s into a
-        common node. During a time step, the node keeps a voltage at which it takes up no net
-        charge."""
+        common node. In each time step, the voltage of the node is constant, and the charges that
+        flow into the node add up to 0."""
         if duration_us < 1e-6:
             return
         # `_LONGEST_SHORT_US` is many time constants: the charge that remains is negligible.
@@ -195,10 +197,10 @@ class SkinCircuit:
     def _find_shorts(
         self, duration_us: float
     ) -> tuple[NDArray[np.float64], list[tuple[NDArray[np.float64], NDArray[np.float64]]]]:
-        """Return ``level``, (E,), and for each step ``lost``, (E,), and ``weights``, (E,). In a
-        step, the node's voltage is the sum of the capacitor voltages, weighted with ``weights``.
-        Each capacitor approaches ``level`` times this voltage: the step removes the fraction
-        ``lost`` of the difference."""
+        """Return ``level``, (E,), and for each time step ``lost`` and ``weights``, both (E,). In a
+        step, the voltage of the node is the sum of the capacitor voltages, weighted with
+        ``weights``. Each capacitor voltage approaches a target, ``level`` times the voltage of the
+        node. The step removes the fraction ``lost`` of the distance to the target."""
         series = 1 / self.series_ohm
         rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
         level = series / (rate * self.capacitance_f)
@@ -260,7 +262,7 @@ FORMS = {
 
 
 class FingerEvent(NamedTuple):
-    """Event of the finger: time, s; kind; electrode, 0 if unused; and force, N."""
+    """Event of the finger: its time (s), kind, electrode (0 if unused) and force (N)."""
 
     time_s: float
     kind: str
@@ -303,7 +305,7 @@ class EmulatedFinger:
         self._switched = [event for event in parsed if event.kind in ("emergency", "release")]
         self._due = deque(event for event in parsed if event not in self._switched)
         self._touches, self._pressure_n = True, FORCE_N
-        self._factor = np.ones(electrodes)  # factor of each resistance
+        self._factor = np.ones(electrodes)  # (E,): factor by which events multiply R_s and R_p
 
     @property
     def force_n(self) -> float:
