@@ -32,15 +32,14 @@ class ForceSource(Device, ABC):
     """Base class of sources of finger force."""
 
     is_live: ClassVar[bool] = True
-    """Whether a real finger presses now with this force, measured or stated by the user. Without
-    such a force, a board that a finger can touch gets no current."""
+    """Whether `read` returns the present force of a real finger, either measured or stated by the
+    user. If it does not, a board that a finger can touch gets no current."""
 
     @abstractmethod
     def read(self, time_ns: int) -> float:
         """Return the force, N, at ``time_ns`` since the start of the run; NaN if unknown.
 
-        Never wait and never raise.
-        """
+        Never wait and never raise."""
 
 
 FORCES = Registry(
@@ -150,7 +149,8 @@ class CellWatch:
         )
 
     def reading(self, now_ns: int) -> float:
-        """Return the newest reading; NaN if it is too old, or constant under pressure."""
+        """Return the newest reading. Return NaN if it is invalid or too old, or if the readings do
+        not change while a finger presses."""
         if self._last_ns is None or now_ns - self._last_ns > FRESH_S * 1e9:
             return math.nan
         return math.nan if self._frozen(now_ns) else self._value
@@ -176,8 +176,8 @@ class CellWatch:
 
 
 FIRST_READING_S = 5.0
-"""Time limit of the first reading: some boards restart for two seconds when the port opens."""
-MUTE_S = 2.0  # shortest time limit for the first reading in `LoadCell.collect`
+"""Longest wait for the first reading. Some boards restart for two seconds when the port opens."""
+MUTE_S = 2.0  # without a reading, `LoadCell.collect` gives up no sooner than after this time
 RETRY_S = 0.25  # interval of attempts to reopen a lost port
 JOIN_S = 2.0  # longest wait for the end of the thread, which hangs if the port's driver hangs
 LARGEST_N = 100.0  # largest plausible force of a finger; a larger force means a wrong curve
@@ -206,7 +206,7 @@ def open_cell(url: str) -> "LoadCell":
 
 class LoadCell(Closing):
     """Load cell at ``hx711:PORT`` or ``loadcell:PORT``, optionally with ``?baud=N``. A thread
-    reads the port. `CellWatch` describes ``presses``."""
+    reads the port. For ``presses``, see `CellWatch`."""
 
     def __init__(self, url: str, presses: Callable[[float], bool]) -> None:
         kind, name, self._baud = _parse(url)

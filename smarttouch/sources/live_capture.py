@@ -73,7 +73,7 @@ class ImageDevice(ABC):
 
 
 FIRST_IMAGE_S = 2.0  # longest wait for the first image, as devices start slowly
-GRAB_S = 0.1  # longest wait of one call of `ImageDevice.grab`, so that closing is fast
+GRAB_S = 0.1  # longest wait in `ImageDevice.grab`; it is short, because closing waits for `grab`
 RETRY_S = 0.25  # interval of attempts to reopen a lost device
 JOIN_S = 2.0  # longest wait for the end of the thread, which hangs if the device's driver hangs
 

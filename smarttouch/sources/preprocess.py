@@ -77,8 +77,8 @@ class FlatField:
         if typical < LEAST_SPAN:
             raise CalibrationError(
                 f"white is only {typical:.0f} gray levels above dark, but {LEAST_SPAN:.0f} are "
-                "needed: cover the sensor for the dark frames, then turn on its light and put it "
-                "on white paper"
+                "needed: cover the sensor for the dark frames; for the white frames, turn on the "
+                "light and put the sensor on white paper"
             )
         saturated = float((white >= SATURATED).mean())
         if saturated > MOST_SATURATED:
@@ -139,16 +139,16 @@ def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
 MOST_PIXELS = 64
 """Longest side of the images that `Matcher` compares: more pixels add little accuracy."""
 FINER = 2
-"""Factor by which `Matcher` enlarges images, unless a side would exceed `MOST_PIXELS`. Without
-this enlargement, sensors of 16 x 16 pixels lose 80 % of the accuracy."""
+"""Factor by which `Matcher` enlarges images, unless a side would exceed `MOST_PIXELS`. Without this
+enlargement, the motion that a sensor of 16 x 16 pixels measures loses 80 % of its accuracy."""
 LEAST_SLOPE = 6.0
-"""No shift can be seen along a direction if the mean squared gradient along it, (levels/pixel)², is
-below this. Noise of 2 levels and uneven light alone cause about 1.5."""
+"""A shift along a direction is visible if the mean squared gradient along the direction is above
+this limit, (levels/pixel)². On blank paper, noise of 2 levels and uneven light cause about 1.5."""
 MOST_UNEXPLAINED = 0.25  # a valid shift leaves at most this share of the variance unexplained
 _STEPS = 6
 _CLOSE = 0.02  # the iteration has converged if a step is below this, pixels
 _LONGEST_STEP = 4.0
-_LEAST_OVERLAP = 0.5  # smallest overlap of two images, relative to each side
+_LEAST_OVERLAP = 0.5  # smallest overlap of two images, as a fraction of the width and of the height
 _FEWEST_COMMON = 2
 _FEWEST_PIXELS = 4
 _NOISE = 4.0  # variance of sensor noise, levels²
@@ -164,8 +164,7 @@ class Matcher:
     """Estimator of the shift between successive images, in pixels of images resized to `shape`.
 
     Correlation finds the shift to one pixel. Gauss–Newton steps on gray levels refine it (inverse
-    compositional algorithm: Baker and Matthews, Lucas-Kanade 20 Years On, 2004).
-    """
+    compositional algorithm: Baker and Matthews, Lucas-Kanade 20 Years On, 2004)."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         small = max(shape) * FINER <= MOST_PIXELS
@@ -219,9 +218,9 @@ class Matcher:
         return float(x), float(y)
 
     def _slopes(self, common: Common) -> tuple[Floats, Image]:
-        """Return two arrays. The first has the K directions in which a shift is visible, (K, 2).
-        The second has derivatives of the gray levels of N pixels, (K + 3, N): by the shift in each
-        direction, and by the strength of each of 3 patterns of light."""
+        """Return two arrays. The first, (K, 2), has the K directions in which a shift is visible.
+        The second, (K + 3, N), has the derivatives of the gray levels of N pixels with respect to
+        the shift in each direction (K rows) and the strengths of 3 patterns of light (3 rows)."""
         along_x, along_y = (
             np.asarray(cv2.Sobel(self._before, cv2.CV_32F, *way, ksize=3, scale=1 / 8)[common])
             for way in ((1, 0), (0, 1))
@@ -230,14 +229,14 @@ class Matcher:
         squares, directions = np.linalg.eigh(np.cov(gradient, bias=True))
         steep = directions.T[squares > self._least_slope]
         level = self._before[common]
-        # Illumination does not move with the page, and must not be mistaken for motion.
+        # Light does not move with the page: model it, so it does not distort the measured motion.
         light = level, level * self._beside[common[1]], level * self._below[common[0]]
         slopes = np.vstack([steep @ gradient, [light_map.ravel() for light_map in light]])
         return steep, (slopes - slopes.mean(axis=1, keepdims=True)).astype(np.float32)
 
     def _rest(self, shift: Floats, common: Common) -> tuple[Image, float]:
-        """Undo a shift. Return the remaining difference of the images, (N,) levels, less its mean.
-        Also return the variance of this difference, relative to the variance of the images."""
+        """Undo a shift. Return the remaining difference of the images minus its mean, (N,), in gray
+        levels. Also return the variance of this difference, relative to that of the images."""
         to_now = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
         undone = cv2.warpAffine(
             self._image, to_now, self.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
@@ -250,9 +249,9 @@ class Matcher:
         return rest, float(rest @ rest) / rest.size / (contrast + _NOISE)
 
     def _begin(self) -> Shift | None:
-        """Return the shift at which iteration starts. Of the last shift, zero and the result of
-        `_largest_covariance`, it is the one with the highest correlation. Return None if no
-        correlation is positive."""
+        """Return the shift at which iteration starts. The candidates are the last shift, zero, and
+        the result of `_largest_covariance`. Return the candidate with the highest correlation, or
+        None if no correlation is positive."""
         far = _largest_covariance(self._before, self._image)
         best = max((self._correlation(by), by) for by in {far, self._last_shift, (0.0, 0.0)})
         return best[1] if best[0] > 0 else None
@@ -270,8 +269,8 @@ class Matcher:
         return float(correlation[0, 0])
 
     def _common(self, shift: Shift, border: int = 0) -> Common | None:
-        """Return the rows and columns of the last image that this image also shows, less ``border``
-        pixels at each side. Return None if the overlap is too small."""
+        """Return the part of the last image that overlaps this image, without ``border`` pixels at
+        each side: rows and columns of the last image. Return None if the overlap is too small."""
         slices = []
         for side, by in zip(self.shape, map(round, shift[::-1]), strict=True):
             start, stop = border + max(0, -by), side - border - max(0, by)
@@ -283,7 +282,8 @@ class Matcher:
 
 
 def _largest_covariance(before: Image, now: Image) -> Shift:
-    """Return the shift, in pixels of ``now``, with the largest covariance; search at half size."""
+    """Return the shift, in pixels, at which the covariance of the images is largest. The search
+    uses images of half the size, so the shift is a multiple of 2."""
     rows, columns = (side // _COARSER for side in before.shape)
     first, second = (
         np.asarray(cv2.resize(levels, (columns, rows), interpolation=cv2.INTER_AREA), np.float32)

@@ -79,7 +79,7 @@ class PacketKind(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class ArrayFrame:
-    """Frame of a sensor array with a read-only image; number and device time are modulo 2³²."""
+    """Frame of a sensor array. The image is read-only. Number and device time are modulo 2³²."""
 
     number: int
     time_us: int
@@ -157,8 +157,7 @@ class MessageStream:
     """Parser of messages in a stream that may start within a message.
 
     ``broken`` is the number of malformed packets. It does not count the first packet, whose start
-    can be missing. Packets of unknown kinds are ignored.
-    """
+    can be missing. Packets of unknown kinds are ignored."""
 
     def __init__(self) -> None:
         self.broken: int = 0
@@ -230,8 +229,7 @@ class TextReadings:
     """Parser of readings in lines of text.
 
     It ignores the first line, whose start can be missing. It also ignores the first reading after
-    bytes that are not text, because noise can contain digits.
-    """
+    bytes that are not text, because noise can contain digits."""
 
     def __init__(self) -> None:
         self.garbled: int = 0
@@ -308,13 +306,13 @@ class PacketReadings:
 USUAL_BAUD = 921_600  # default speed of a serial line; it has no effect on USB devices
 _WAIT_S = 0.05  # longest single read
 _UNREADABLE_S = 1.5
-"""A device that sends bytes, but no valid frame, for this time is not a sensor array."""
+"""If a device sends bytes, but no valid frame within this time, it is not a sensor array."""
 
 
 def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -> LiveSource:
     """Open ``serial-array:PORT``. The port is a device, ``tcp://HOST:PORT`` or a pyserial URL."""
     if not rest:
-        raise SourceError("serial-array: has no port: give one, as in serial-array:/dev/ttyACM0")
+        raise SourceError("'serial-array:' has no port: give one, as in serial-array:/dev/ttyACM0")
     if baud is not None and baud < 1:
         raise SourceError(f"{baud} baud is not a line speed: give bits per second, as in 115200")
     return LiveSource(SerialArrayDevice(rest, USUAL_BAUD if baud is None else baud), profile)
@@ -373,7 +371,7 @@ class SerialArrayDevice(ImageDevice):
         self._listening_since_ns = time.perf_counter_ns()
 
     def _take(self, data: bytes) -> Shot | None:
-        """Return the newest of the frames that these bytes complete, or None."""
+        """Return the newest frame that these bytes complete, or None if they complete no frame."""
         self._received += len(data)
         newest, frames, broken = None, 0, self._stream.broken
         for message in self._stream.feed(data):

@@ -110,10 +110,8 @@ class Pointer(Protocol):
 
 
 class Source(Device, ABC):
-    """Base class of all sources.
-
-    After a run, ``frames`` must be the number of different inputs read plus ``dropped_frames``.
-    """
+    """Base class of all sources. After a run, ``frames`` must equal ``dropped_frames`` plus the
+    number of different inputs that were read."""
 
     duration_s: float | None = None
     """Duration of the source, s; None if the source is endless."""
@@ -133,7 +131,7 @@ class Source(Device, ABC):
     dropped_frames: int = 0
     """Number of frames or stimuli that were never read."""
     pointer: Pointer | None = None
-    """Part that follows the mouse pointer in a window, if the source has one."""
+    """Part of the source that follows the mouse pointer in a window; None if there is none."""
     fixed_mode: ClassVar[bool] = False
     """Whether the source, instead of the user, chooses the classes to stimulate."""
     notes_told: int = 0
@@ -155,7 +153,8 @@ class Source(Device, ABC):
 
     @property
     def account(self) -> str:
-        """Return a summary of the run in words, for users who cannot see it; empty if unknown."""
+        """Return a summary of the run in words, for users who cannot see the run. Return "" if
+        the source has no summary."""
         return ""
 
     def tell_notes(self, time_ns: int) -> None:
@@ -259,8 +258,8 @@ Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]  # accepted by `
 
 
 class Images(OpticalSource):
-    """Source of images from Python, one for each read. An image that is not a `Frame` gets the
-    force for full intensity."""
+    """Source of images that a Python program supplies. Each read returns the next image. If an
+    image is not a `Frame`, the force that gives full intensity is assumed."""
 
     frames: int
     knows_force = True
@@ -324,7 +323,7 @@ class OwnImaging(StimulusSource):
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """Keys of the source of frames."""
+        """Functions of the frames' source, by key. Each is called when its key is pressed."""
         return self._source.keys
 
     @property

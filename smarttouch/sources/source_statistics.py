@@ -13,7 +13,8 @@ READ_HZ = 100.0  # number of reads per second
 
 
 def sample_source(source: Source, seconds: float) -> list[tuple[str, str]]:
-    """Read an open source for some seconds, or until it ends; return pairs of name and value."""
+    """Read a source, which must be open, for some seconds or until its end. Return pairs of name
+    and value."""
     frames = []
     for time_ns in _ticks(seconds):
         frame = source.read(time_ns)
@@ -25,7 +26,7 @@ def sample_source(source: Source, seconds: float) -> list[tuple[str, str]]:
     rows = [
         ("source", source.title),
         ("frames", f"{source.frames}, {source.frames / lasted_s:.1f} a second"),
-        ("read", f"{source.frames - source.dropped_frames}, polled at {READ_HZ:g} Hz"),
+        ("read", f"{source.frames - source.dropped_frames} frames, polled at {READ_HZ:g} Hz"),
         ("dropped", f"{source.dropped_frames}, never read"),
     ]
     if frames:
@@ -44,13 +45,13 @@ def sample_source(source: Source, seconds: float) -> list[tuple[str, str]]:
 
 
 def sample_force(source: ForceSource, seconds: float) -> list[tuple[str, str]]:
-    """Read an open source of force for some seconds; return pairs of name and value."""
+    """Read a force source, which must be open, for some seconds. Return pairs of name and value."""
     force_n = np.array([source.read(time_ns) for time_ns in _ticks(seconds)])
     unknown = int(np.isnan(force_n).sum())
     return [
         ("source", source.title),
         ("force", _range(force_n)),
-        ("unknown", f"{unknown} of {len(force_n)} reads"),
+        ("unknown", f"force not known in {unknown} of {len(force_n)} reads"),
     ]
 
 

@@ -1,4 +1,4 @@
-"""Videos and folders of images as sources, at their frame rate or one image for each read."""
+"""Videos and image folders as sources. A read returns the image that is due, or the next image."""
 
 import contextlib
 import itertools

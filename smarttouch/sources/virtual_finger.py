@@ -52,8 +52,8 @@ def reading_path(
     """Return a path along the lines of a page, or along parallel strips if it has no lines."""
     require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
     field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
-    # Detect light print even if the user has not declared it: otherwise the path would follow the
-    # dark gaps between its lines.
+    # Detect print that is lighter than the paper, even if the user has not declared it. Otherwise
+    # the path would follow the dark gaps between the lines of text.
     lines = find_lines(page, light_on_dark or None) or [_printed(page, light_on_dark)]
     sweeps = tuple(sweep for line in lines for sweep in _sweeps(line, field[1]))
     rows: list[tuple[float, float, float, float, float]] = []
@@ -133,10 +133,12 @@ MOST_PASSES = 10_000
 _SHADE = 0.1  # relative loss of light at the corners (vignetting)
 _SLOPE = 0.03
 _PRINT_MM, _USUAL_PRINT_MM = (1.5, 9.0), 3.7
-"""Plausible heights of lines from ascender to descender, and height of 11-point lines, mm. If lines
-on a page of assumed size are not plausible, the page is scaled to 11-point lines."""
+"""Range of plausible line heights, and height of an 11-point line, all in mm from ascender to
+descender. If the size of a page is assumed and its line height is outside the range, the page is
+scaled until its lines have the height of 11-point lines."""
 _CHOSEN_DPI = (97.0, 700.0)
-"""The resolution stated in a file is used if it is in this range. Others are mostly defaults."""
+"""A resolution in this range is trusted if a file states it. Outside the range, it is mostly a
+default of the program that wrote the file, so it counts as an assumption."""
 _MARGIN_MM = 4.0
 _MOST_PIXELS = 60_000_000
 
