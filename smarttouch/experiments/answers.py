@@ -38,7 +38,7 @@ COLUMNS = {
     "standard": OPTIONAL,  # empty in trials without a standard
     "comparison": NUMBER,  # current, frequency, distance or softness
     "comparison_interval": OPTIONAL,  # 1 or 2; empty in trials with a single interval
-    "unit": WORDS,  # of standard and comparison, such as Hz, mA or mm
+    "unit": WORDS,  # unit of standard and comparison, such as Hz, mA or mm
     "target": WORDS,  # correct response
     "response": WORDS,  # empty if the participant did not answer
     "success": ANSWER,  # 1 if judged higher, felt or correct, else 0; empty without an answer
@@ -188,9 +188,9 @@ def parse_cells(data: bytes, path: Path) -> AnswerCells:
 class AnswerFile(Closing):
     """CSV file to which rows are appended; each row is on disk before `append` returns.
 
-    ``about`` holds the values that are equal in all rows. An existing file must agree with
-    ``about``. New rows then use its dialect. An incomplete last line is removed. An open file is
-    locked against other runs.
+    ``about`` holds the values that are equal in all rows. The rows of an existing file must have
+    these values, too. New rows keep the `Dialect` of an existing file. An incomplete last line is
+    removed. An open file is locked against other runs.
     """
 
     def __init__(
@@ -227,7 +227,7 @@ class AnswerFile(Closing):
             begun = last != __version__ and __version__.startswith(last)
             del self.rows[len(self.rows) - begun :]
         if begun and not data.startswith(head):
-            raise ExperimentError(f"{self.path} ends in an incomplete line: complete or delete it")
+            raise ExperimentError(f"last line of {self.path} is incomplete: complete or delete it")
         end = data.rfind(b"\n") + 1 if begun else len(data)
         self._write(b"" if cells.ended or begun else self._dialect.line_end.encode(), end)
 
@@ -240,7 +240,6 @@ class AnswerFile(Closing):
         self.rows.append(row)
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def _write(self, data: bytes, at: int) -> None:
@@ -326,7 +325,7 @@ class AnswerTable:
     """Answers of one file."""
 
     name: str  # name of the file, without suffix
-    unit: str  # of standards and comparisons; empty if unknown
+    unit: str  # unit of standards and comparisons; empty if unknown
     answers: tuple[Answers, ...]  # one for each standard, ascending
     cut: bool = False  # whether an incomplete last line was left out
 

@@ -39,10 +39,10 @@ _LIBRARIES = {"opencv": "opencv-contrib-python-headless", "numpy": "numpy", "sci
 class ProfileFile:
     """Copy of a profile, to which a calibration adds results. `write` stores it as a TOML file.
 
-    ``start`` names a shipped profile or a file. The copy keeps comments, and all keys that are not
-    set. With ``overwrite``, `write` may replace an existing file. With ``update``, `write` replaces
-    the file ``start``. Raises ProfileError if ``start`` is not a profile, and CalibrationError if
-    the output cannot be written.
+    ``start`` names a shipped profile or a file. The copy keeps the comments, and the values that
+    the calibration does not change. With ``overwrite``, `write` may replace an existing file. With
+    ``update``, `write` replaces the file ``start``. Raises ProfileError if ``start`` is not a
+    profile, and CalibrationError if the output cannot be written.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class ProfileFile:
         self._table("calibrated")[what] = entry
 
     def write(self, others: Mapping[Path, bytes] | None = None) -> Profile:
-        """Write the files in ``others`` and the profile; return the profile as loaded from disk."""
+        """Write the profile and the files ``others``. Return the profile as loaded from disk."""
         for path in (self.output, *(others or {})):
             self._require_free(path)
         text = tomlkit.dumps(self._document)
@@ -123,7 +123,7 @@ class ProfileFile:
 
 def file_to_calibrate(
     part: str,  # name of the calibration
-    # initial profile; an existing output may differ from this profile only by calibrations
+    # initial profile; an existing output must equal it, except for results of calibrations
     start: str | None,
     fallback: str,  # initial profile if `start` is None
     output: Path,
@@ -155,19 +155,19 @@ def file_to_calibrate(
     measured = [name for name in notes if not notes[name].found.startswith("simulated")]
     if simulated and measured and not overwrite:
         raise CalibrationError(
-            f"{output} contains a calibration of {measured[0]} with a real finger or sensor: write "
-            "the simulation to another --output, or add --overwrite"
+            f"{output} contains a calibration of {measured[0]} with a real finger or sensor, but "
+            "this calibration is simulated: write it to another --output, or add --overwrite"
         )
     return file
 
 
 def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, Profile]:
-    """Return a profile file as text, as an editable TOML document and as a profile."""
+    """Read a profile file. Return its text, its TOML document (for editing) and its profile."""
     table, text = read_toml(path, ProfileError), read_text(path, ProfileError, MOST_TOML_BYTES)
     try:
         document = tomlkit.parse(text)
     except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
-        raise ProfileError(f"{path} cannot be edited ({error}): correct it", key="file") from None
+        raise ProfileError(f"cannot edit {path} ({error}): correct the file", key="file") from None
     return text, document, profile_of(table, path)
 
 
@@ -184,7 +184,7 @@ class ContactFound:
     """Contact of each electrode with the skin."""
 
     kohm: NDArray[np.float64]  # (E,): median impedance; infinite if open
-    # (E,): robust standard deviation of the impedance; NaN if open, or after one measurement
+    # (E,): robust standard deviation; NaN if the electrode was measured only once, or was ever open
     spread_kohm: NDArray[np.float64]
     # (E,): condition in the majority of measurements; ``unsure`` without a majority
     condition: tuple[Condition, ...]
@@ -216,9 +216,10 @@ class ContactFound:
                 counts.append(f"{len(at)} {condition} (electrodes {', '.join(at)})")
         spread = np.nanmedian(self.spread_kohm[good]) / middle if self.repeats > 1 else np.nan
         return (
-            f"{', '.join(counts)} of {len(self.kohm)} electrodes, the good ones {middle:.3g} kohm "
-            f"({low:.3g} to {high:.3g}), {self.repeats} measurements at {self.current_ma:.2g} mA"
-            + ("" if np.isnan(spread) else f" that differ by {spread:.1%}")
+            f"{', '.join(counts)} of {len(self.kohm)} electrodes; good electrodes: median "
+            f"impedance {middle:.3g} kohm ({low:.3g} to {high:.3g}); {self.repeats} measurements "
+            f"of each electrode at {self.current_ma:.2g} mA"
+            + ("" if np.isnan(spread) else f", which differ by {spread:.1%}")
         )
 
 
@@ -286,7 +287,7 @@ def _majority(conditions: Sequence[Condition]) -> Condition:
 STANDARD_GRAVITY = 9.80665  # m/s²
 FEWEST_READINGS = 5
 MOST_MISSING = 0.5  # largest allowed share of readings that are not numbers
-MOST_RESIDUAL = 0.05  # largest allowed rms residual of the line, relative to full force
+MOST_RESIDUAL = 0.05  # largest allowed rms error of the fitted line, relative to full force
 MOST_DRIFT = 0.03  # largest allowed drift of the reading under one weight, relative to full force
 LEAST_REACH = 0.5  # the heaviest weight must reach at least this share of full force
 
@@ -314,26 +315,25 @@ class Weighing:
 
 @dataclass(frozen=True)
 class ForceFound:
-    """Line that converts readings of a load cell to forces, and the errors of the line."""
+    """Line fitted to weighings. It converts readings of a load cell to forces."""
 
     curve: tuple[float, float]  # intercept, N, and slope, N per count
     full_n: float  # full force, to which percentages refer
     weighings: tuple[Weighing, ...]
 
     def force_n(self, reading: float) -> float:
-        """Return the force for a reading, N."""
         return self.curve[0] + self.curve[1] * reading
 
     @property
     def off_n(self) -> NDArray[np.float64]:
-        """Error of the line at each weighing, N."""
+        """Error of the fitted line at each weighing, N."""
         return np.array(
             [self.force_n(weighing.reading) - weighing.force_n for weighing in self.weighings]
         )
 
     @property
     def residual_n(self) -> float:
-        """Root mean square error of the line, N."""
+        """Root mean square error of the fitted line, N."""
         return float(np.sqrt(np.mean(self.off_n**2)))
 
     def sentence(self) -> str:
@@ -341,10 +341,10 @@ class ForceFound:
         grams = [weighing.grams for weighing in self.weighings]
         zero_n, slope_n = self.curve
         return (
-            f"line through {len(grams)} weighings from {min(grams):g} to {max(grams):g} g, zero "
-            f"at {-zero_n / slope_n:.6g}, {slope_n:.4g} N a count, residual rms "
-            f"{self.residual_n:.4f} N ({self.residual_n / self.full_n:.2%} of full force), worst "
-            f"{np.abs(self.off_n).max():.4f} N"
+            f"line through {len(grams)} weighings from {min(grams):g} to {max(grams):g} g: zero "
+            f"force at {-zero_n / slope_n:.6g} counts, slope {slope_n:.4g} N per count, rms error "
+            f"{self.residual_n:.4f} N ({self.residual_n / self.full_n:.2%} of full force), largest "
+            f"error {np.abs(self.off_n).max():.4f} N"
         )
 
 
@@ -382,8 +382,8 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
 
 
 def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
-    """Fit a line to weighings of at least three weights. Raises CalibrationError if residual or
-    drift is too large relative to full force."""
+    """Fit a line to weighings of at least three weights. Raises CalibrationError if the rms error
+    of the line or a drift is too large relative to full force."""
     grams = np.array([weighing.grams for weighing in weighings])
     reading = np.array([weighing.reading for weighing in weighings])
     _require_weights(grams, law)
@@ -396,7 +396,7 @@ def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
     if force_fit.residual_n > MOST_RESIDUAL * law.full_n:
         worst = weighings[int(np.abs(force_fit.off_n).argmax())]
         raise CalibrationError(
-            f"the line misses the weights by {force_fit.residual_n:.3f} N rms, more than "
+            f"the line fitted to the weights is off by {force_fit.residual_n:.3f} N rms, more than "
             f"{MOST_RESIDUAL:.0%} of full force ({law.full_n:g} N): weigh {worst.grams:g} g again"
         )
     restless = max(weighings, key=lambda weighing: abs(weighing.drift))
@@ -413,7 +413,7 @@ def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
     distinct = len(np.unique(grams))
     if distinct < 3:
         raise CalibrationError(
-            f"{distinct} different weights are too few to check the line: give three or more"
+            f"{distinct} different weights cannot show that the cell is linear: give three or more"
         )
     full_g = 1000 * law.full_n / STANDARD_GRAVITY
     if grams.max() < LEAST_REACH * full_g:

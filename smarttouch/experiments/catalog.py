@@ -39,14 +39,14 @@ from smarttouch.experiments.trials import (
 
 _MOST_BYTES = 10_000_000
 PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
-"""Standards for PC, Hz: `STANDARDS_HZ`, and two at which thresholds change (paper, Fig. 18)."""
+"""Standards for PC, Hz: `STANDARDS_HZ`, and two higher frequencies (paper, Fig. 18)."""
 _NARROWEST_RATIO = 1.01  # smallest ratio of comparison to standard in adaptive procedures
 _START_RATIO = 1.6  # first ratio of comparison to standard in a staircase
 _STEP = 0.03
-"""Relative step down in a frequency staircase. The difference threshold of vibration is 20 %."""
+"""Relative step down in a frequency staircase: small against the difference threshold, 20 %."""
 LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
 """Levels of the detection experiment, relative to the profile's threshold (our own choice)."""
-_DETECTION_STEP = 0.05  # relative step down of a detection staircase
+_DETECTION_STEP = 0.05  # step down in a detection staircase, relative to the comparison
 _DETECTION_RANGE = (0.3, 3.0)  # range of levels, relative to the profile's threshold
 SOFTNESSES = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)  # each compared with softness 0 (our own choice)
 _FARTHEST = 4  # largest offset in `localization`, in electrodes
@@ -245,16 +245,16 @@ def softness(setup: Setup) -> Trials:
 
 
 CATALOG = {
-    "frequency": Experiment("which train is faster (paper, III-C)", frequency, ADAPTIVE, 1.0),
-    "detection": Experiment(
-        "is a pulse train felt: threshold current, mA", detection, ADAPTIVE
-    ),
+    "frequency": Experiment("which train is faster? (paper, III-C)", frequency, ADAPTIVE, 1.0),
+    "detection": Experiment("is a pulse train felt? (result: current, mA)", detection, ADAPTIVE),
     "discomfort": Experiment(
-        "current, mA, at which a rising current is strong enough", discomfort, (LIMITS,), 10.0
+        "when is a rising current strong enough? (result: current, mA)", discomfort, (LIMITS,), 10.0
     ),
-    "localization": Experiment("is the second point left or right: offset, mm", localization),
+    "localization": Experiment(
+        "is the second point left or right of the first? (result: offset, mm)", localization
+    ),
     "softness": Experiment(
-        "which point is softer as the finger moves (paper, III-B)", softness, train_s=3.0
+        "which point is softer as the finger moves? (paper, III-B)", softness, train_s=3.0
     ),
 }  # fmt: skip
 """Experiments of the package, by name."""

@@ -156,7 +156,7 @@ def _comparison(row: Row) -> float:
 
 
 def experiment_name(name: str, setup: Setup) -> str:
-    """Return the title of an experiment in the file of answers: its name and the class."""
+    """Return the name of an experiment with the stimulated class, such as ``frequency-RA``."""
     return f"{Path(name).stem}-{setup.afferent.name}"
 
 

@@ -21,7 +21,7 @@ MOST_UNANSWERED = 0.5
 SAME_INTERVAL = 0.95
 """Largest allowed share of answers that name the same interval. A larger share means guessing."""
 FLAT = 0.02  # largest p value with which answers count as dependent on the comparison
-_FALLING = -2.58  # largest z score of a falling trend; 1 of 200 random trends is below it
+_FALLING = -2.58  # a trend is falling if its z score is below this, as for 1 of 200 random trends
 _CURVE_POINTS = 301
 _BOUNDED = ("threshold", "weber", "middle", "lower", "lower_weber")
 
@@ -117,9 +117,9 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
     total, successes = int(counts.n.sum()), int(counts.k.sum())
     success = Finding(answers, model, None).success_name
     if successes == total:
-        return none(f"always {success}, {total} times: a threshold lies below {low:.4g}")
+        return none(f"{success} in all {total} answers: a threshold can only be below {low:.4g}")
     if successes == 0:
-        return none(f"never {success} in {total} answers: a threshold lies above {high:.4g}")
+        return none(f"{success} in 0 of {total} answers: a threshold can only be above {high:.4g}")
     share = successes / total
     if len(counts.stimulus) == 1:
         why = f"{success} in {share:.0%} of {total} answers, all of them at comparison {low:.4g}"
@@ -154,8 +154,8 @@ def _unusable(answers: Answers) -> str | None:
     chosen = answers.chosen()
     if sum(chosen) >= FEWEST_ANSWERS and max(chosen) > SAME_INTERVAL * sum(chosen):
         word = "first" if chosen[0] > chosen[1] else "second"
-        words = f"{max(chosen)} of {sum(chosen)} times, regardless of the stimulus"
-        return f"the {word} interval was chosen {words}"
+        words = f"interval was chosen {max(chosen)} of {sum(chosen)} times"
+        return f"the {word} {words}, regardless of the stimulus"
     return None
 
 
@@ -172,8 +172,8 @@ def _chance_of_flat(fitted: Fit, share: float) -> float:
 def _guessing(answers: Answers, model: Model) -> float:
     """Return the share of successes of a participant who guesses.
 
-    If a success is a correct answer, the share is known. Otherwise return the observed share. Then
-    `_chance_of_flat` is a weaker test: adaptive procedures keep the observed share nearly constant.
+    If a success is a correct answer, the share is known. Otherwise return the observed share. This
+    share makes `_chance_of_flat` a weaker test: adaptive procedures keep the share nearly constant.
     """
     if not isinstance(model.guess, str) and model.guess > 0:
         return model.guess
@@ -283,8 +283,8 @@ def discrimination_figure(series: Sequence[Series]) -> "Figure":
 
 
 def _draw_shares(axes: Any, finding: Finding, unit: float, color: str, label: str) -> None:
-    """Draw the fitted curve, the interval of the threshold, and the shares of successes as dots.
-    Larger dots have more answers. The abscissa is the stimulus divided by ``unit``."""
+    """Draw the fitted curve, the interval of the threshold, and a dot for each share of successes.
+    A dot is larger if there are more answers. The abscissa is the stimulus divided by ``unit``."""
     stimulus, n, k = finding.counts
     size = 8 + 2 * np.minimum(n, 10)
     axes.scatter(stimulus / unit, k / n, size, color=[color], label=label, lw=0, zorder=3)
@@ -300,7 +300,6 @@ def _draw_shares(axes: Any, finding: Finding, unit: float, color: str, label: st
 
 
 def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
-    """Draw thresholds relative to their standards, with intervals."""
     axes.axhline(0, color=GREY, lw=0.6)
     for index, (table, findings) in enumerate(series):
         color = SERIES_COLORS[index % 6]
@@ -312,7 +311,7 @@ def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
             ]
             standard, *bounded = np.array(rows).T
             value, low, high = np.array(bounded) / standard - 1
-            # Draw an undetermined end of an interval as if it were at 0 or at twice the value.
+            # Draw an infinite end as far from the value as 0 is: at 0, or at twice the value.
             reach = np.array([value - low, high - value])
             reach = np.where(np.isinf(reach), np.abs(value), reach).tolist()
             axes.errorbar(standard * aside, value, reach, fmt=style, color=color, ms=4, lw=1,

@@ -52,9 +52,9 @@ SHARPNESS = 3.2
 Hz in RA mode is then 0.68. The paper measured 0.7."""
 
 FITTED = (
-    "the simulated participant's sense of frequency was fitted to the paper's RA mode "
-    f"(limit {RA_LIMIT_HZ:g} Hz, Weber fraction {BASE_WEBER:.1%}, exponent {SHARPNESS:g}): "
-    "without PC spikes, the simulated thresholds repeat the fit and are not a result"
+    "the simulated participant judges frequency with a model fitted to the paper's results in RA "
+    f"mode (limit {RA_LIMIT_HZ:g} Hz, Weber fraction {BASE_WEBER:.1%}, exponent {SHARPNESS:g}). If "
+    "no PC afferent fires, the simulated thresholds only repeat this fit and are not a result"
 )
 """Warning for frequency judgments of a simulated participant."""
 
@@ -66,16 +66,16 @@ SPREAD = math.log1p(BASE_WEBER) / float(math.sqrt(2) * ndtri(0.75))
 @cache
 def _learned() -> tuple[Array, Array]:
     """Return frequencies of vibration, Hz, and the ratio of PC to RA spikes at each frequency."""
-    # `np.interp` needs rising ratios. Ratios fall above 300 Hz, so stop where PC is most sensitive.
+    # End at PC's best frequency, 250 Hz: `np.interp` needs rising ratios, which fall above 300 Hz.
     hz = np.geomspace(RA_LIMIT_HZ, best_hz(Afferent.PC), 200)
     return hz, sensitivity(Afferent.PC, hz) / sensitivity(Afferent.RA, hz)
 
 
 def believable_hz(ratio: float) -> float:
-    """Return the highest frequency, Hz, that is perceived at a ratio of PC to RA spikes.
+    """Return the highest frequency, Hz, that a person perceives from the ratio of PC to RA spikes.
 
-    At this frequency of vibration, the sensitivity of PC divided by the sensitivity of RA equals
-    the ratio (paper, Fig. 2). Without PC spikes, return `RA_LIMIT_HZ`.
+    In mechanical vibration at this frequency, the sensitivity of PC divided by the sensitivity of
+    RA equals the ratio (paper, Fig. 2). Without PC spikes, return `RA_LIMIT_HZ`.
     """
     hz, ratios = _learned()
     return float(np.interp(ratio, ratios, hz))
@@ -199,7 +199,6 @@ class BlindObserver:
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
     ) -> str | None:
-        """Return a random alternative."""
         return alternatives[int(self._random.integers(len(alternatives)))]
 
 
@@ -209,8 +208,8 @@ class SimulatedObserver:
 
     finger: Finger
     seed: int = 0
-    # A train is felt in half of the trials if this number of afferents fires in a slot on average.
-    # Our choice is one afferent in every second slot: a person can feel the spikes of a single RA
+    # Mean number of afferents that fire in a slot of a train that is felt in half of the trials.
+    # We chose 0.5, one afferent in every second slot: a person can feel the spikes of a single RA
     # afferent (Vallbo et al. 1984).
     felt_afferents: float = 0.5
     slope: float = 0.1  # standard deviation of the noise added to log(afferents per slot)
@@ -226,14 +225,13 @@ class SimulatedObserver:
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
     ) -> str | None:
-        """Return the answer to a trial."""
         if task == "felt":
             return "y" if self._is_felt(intervals[0]) else "n"
         judges = {"faster": self._faster, "side": self._side, "softer": self._softer}
         if task not in judges:
             raise ExperimentError(
-                f"the simulated observer cannot judge the task {task!r}: use felt, "
-                f"{', '.join(judges)}, or answer with --simulate random"
+                f"the simulated observer cannot judge the task {task!r}: use one of the tasks "
+                f"felt, {', '.join(judges)}, or give --simulate random"
             )
         judged = judges[task](intervals)
         if judged is None or self._random.random() < self.lapse:

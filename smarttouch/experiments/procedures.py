@@ -101,7 +101,8 @@ def constant_stimuli(
             "least one of each"
         )
     random = np.random.default_rng([seed, len(pairs), repetitions])
-    # If `repetitions` is odd, half of the pairs have the comparison first once more than second.
+    # If `repetitions` is odd, half of the pairs have one more trial with the comparison first. The
+    # other pairs have one more trial with the comparison second.
     balanced = (np.arange(repetitions) + np.arange(len(pairs))[:, None]) % 2 + 1
     interval = random.permuted(balanced, axis=1) * two_intervals
     plan = [
@@ -132,8 +133,8 @@ def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
         yield from block if two_intervals else [0]
 
 
-_COARSE_FACTOR, _COARSE_REVERSALS = 2.0, 2
-"""Until reversal `_COARSE_REVERSALS`, steps are `_COARSE_FACTOR` times as large (our choice)."""
+_COARSE_FACTOR, _COARSE_REVERSALS = 2.0, 2  # our choice
+"""Until a staircase has `_COARSE_REVERSALS` reversals, its steps are larger by `_COARSE_FACTOR`."""
 _REVERSALS = 14  # number of reversals that ends a staircase
 _PINNED_TRIALS = 4
 """A staircase stops after this number of successive steps that would leave the range."""

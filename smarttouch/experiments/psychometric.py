@@ -29,7 +29,7 @@ QUANTILES = (0.5, 0.025, 0.975)
 _MIDDLES, _SPREADS, _LAPSES, _GUESSES = 151, 21, 5, 6
 _NARROWEST, _WIDEST = 1 / 40, 1.0
 """Smallest and largest spread on the grid, relative to the range of comparisons. Our choice: with
-these limits, 92 to 98 % of the 95 % intervals of simulated subjects contain the true threshold."""
+these limits, 92 to 98 % of simulated subjects have their true threshold in the 95 % interval."""
 _EDGE = 0.05
 """Margin at the edge of the grid, relative to the range of comparisons. If a credible interval
 ends in this margin, the end counts as undetermined."""
@@ -54,7 +54,8 @@ class Parameters(NamedTuple):
 
 
 class Bounded(NamedTuple):
-    """Estimate and its credible interval. An undetermined end of the interval is infinite."""
+    """Estimate and its credible interval. An undetermined end of the interval is infinite. On a
+    logarithmic axis, an undetermined lower end is 0."""
 
     value: float
     low: float
@@ -69,9 +70,9 @@ class Model:
     # "equal": guess rate and lapse rate are equal, for comparisons on both sides of a standard.
     # "free": the guess rate is fitted, which needs some trials without a stimulus.
     guess: Guess = "equal"
-    # Share of successes at the threshold without lapses, and without guesses if `guess` is "free".
-    # None means 0.75 if `guess` is "equal" (paper, Section III.C), 0.5 if `guess` is "free", and
-    # (1 + `guess`) / 2 if `guess` is a number.
+    # Share of successes that defines the threshold. Lapses are left out, and if `guess` is "free",
+    # guesses too. None means 0.75 if `guess` is "equal" (paper, Section III.C), 0.5 if `guess` is
+    # "free", and (1 + `guess`) / 2 if `guess` is a number.
     at: float | None = None
     logarithmic: bool = True  # whether x is the logarithm of the stimulus
     most_lapses: float = MOST_LAPSES  # upper bound of the lapse rate
@@ -85,8 +86,8 @@ class Model:
             )
         if self.at is not None and not floor < self.at < 1:
             raise ExperimentError(
-                f"a share of successes of {self.at:g} cannot define a threshold: give one between "
-                f"{floor:g} and 1"
+                f"{self.at:g} as share of successes cannot define the threshold: give a share "
+                f"between {floor:g} and 1"
             )
 
     @property
@@ -132,8 +133,8 @@ class Model:
 
 
 def log_likelihood(likely: Array, n: Array, k: Array) -> Array:
-    """Return the log likelihood, (...,), of k successes in n trials, (K,) each. ``likely`` holds
-    the probability of a success at each comparison, (..., K)."""
+    """Return the log likelihood, (...,). Per comparison, ``n`` is the number of trials, (K,), ``k``
+    the number of successes, (K,), and ``likely`` the probability of a success, (..., K)."""
     # Clip the probabilities, so that their logarithms are finite.
     likely = np.clip(likely, 1e-9, 1 - 1e-9)
     return np.asarray(np.log(likely) @ k + np.log1p(-likely) @ (n - k))
@@ -157,7 +158,8 @@ class Fit:
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Estimates, (1,): `middle` from the median threshold, the others as posterior means."""
+        """Estimates, (1,) each. `middle` follows from the posterior median of the threshold. The
+        other estimates are posterior means; for `spread`, of its logarithm."""
         _, spread, lapse, guess = self.functions
         spread = np.exp([self.weights @ np.log(spread)])
         middle = self._quantiles(self.model.level)[0] - ndtri(self.model.level) * spread
@@ -178,7 +180,7 @@ class Fit:
         return np.asarray(self.model.probability(self.model.axis(stimulus), self.parameters)[0])
 
     def _quantiles(self, part: float) -> Array:
-        """Return the posterior `QUANTILES` of `Model.place`, the x at which F equals ``part``."""
+        """Return the posterior quantiles (`QUANTILES`) of the x at which F equals ``part``."""
         position = self.model.place(part, self.functions)
         order = np.argsort(position)
         below = np.cumsum(self.weights[order]) - self.weights[order] / 2
@@ -188,8 +190,8 @@ class Fit:
 def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
     """Fit psychometric functions to answers at two or more comparisons.
 
-    Priors are uniform for the middle, the logarithm of the spread, the lapse rate and, if it is
-    free, the guess rate. The grid of middles is three times as wide as the range `Fit.ends`.
+    Priors are uniform for `middle`, the logarithm of `spread`, the lapse rate and, if it is fitted,
+    the guess rate. The grid covers a range of `middle` three times as wide as `Fit.ends`.
     """
     x = model.axis(counts.stimulus)
     finite = model.axis([*counts.stimulus, standard or counts.stimulus[-1]])
@@ -209,7 +211,7 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
 
 
 def _refined(values: Array, weights: Array) -> Array:
-    """Return equally many values, evenly spaced, where weights are not negligible."""
+    """Spread the same number of values evenly over the range where weights exceed `_NEGLIGIBLE`."""
     some = np.flatnonzero(weights > _NEGLIGIBLE)
     low, high = values[max(some[0] - 1, 0)], values[min(some[-1] + 1, len(values) - 1)]
     return np.linspace(low, high, len(values))

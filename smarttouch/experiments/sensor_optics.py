@@ -80,7 +80,7 @@ class OpticsFound:
     field: FlatField
     # Unevenness is the standard deviation of the gray levels of blank paper, divided by their mean.
     uneven_before: float
-    uneven_after: float  # if there are several frames, from frames not used for the flat field
+    uneven_after: float  # measured in frames not used for the flat field, if there are several
 
     def sentence(self) -> str:
         """Return the sentence that the profile stores about this result."""
@@ -105,7 +105,7 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
 
 
 def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
-    """Return the unevenness that remains in half of the frames, corrected with the other half."""
+    """Correct half of the frames with a flat field from the other half. Return their unevenness."""
     if min(len(dark), len(white)) > 1:
         field = FlatField.measure(dark[::2], white[::2])
         white = white[1::2]
@@ -125,7 +125,7 @@ MARKERS = 3  # number of markers in each row and column of the target
 MODULES = 7 * MARKERS - 1  # squares across the target: 6 for each marker, 1 between two markers
 FIELD_SHARE = 1.5  # side of the target divided by the shorter side of the field of view
 FEWEST_PIXELS = 24  # fewest rows and columns of a sensor in which markers are recognized
-LEAST_CORRELATION = 0.8  # smallest allowed correlation of image and target; above 0.9 if flat
+LEAST_CORRELATION = 0.8  # least allowed correlation of image and target; a flat target has over 0.9
 MOST_OUTSIDE = 0.25  # largest allowed share of electrodes outside the image
 DOTS_PER_MM = 50  # resolution of the printed target
 _SIZES_MM = (1.0, 200.0)
@@ -172,10 +172,10 @@ def target_for(profile: Profile) -> PageTarget:
     optics = profile.optics
     if min(optics.sensor_columns, optics.sensor_rows) < FEWEST_PIXELS:
         raise CalibrationError(
-            f"the profile's sensor of {optics.sensor_columns} × {optics.sensor_rows} pixels is too "
-            f"coarse for a target, which needs {FEWEST_PIXELS} a side: correct "
-            "optics.sensor_columns and optics.sensor_rows if the sensor is finer, or set "
-            "optics.rotation_deg, optics.offset_x_mm and optics.offset_y_mm by hand"
+            f"the profile's sensor has {optics.sensor_columns} × {optics.sensor_rows} pixels, but "
+            f"a target needs at least {FEWEST_PIXELS} pixels a side: correct optics.sensor_columns "
+            "and optics.sensor_rows if the sensor has more pixels, or set optics.rotation_deg, "
+            "optics.offset_x_mm and optics.offset_y_mm by hand"
         )
     size_mm = FIELD_SHARE * min(optics.field_width_mm, optics.field_height_mm)
     require_within(CalibrationError, "size_mm", size_mm, *_SIZES_MM)

@@ -44,13 +44,13 @@ class Study(Table):
     """Plan of a study, which runs all combinations of the values in its lists."""
 
     title: str = Field(min_length=1)
-    """Question of the study."""
+    """Question that the study answers, in words."""
     profiles: tuple[str, ...] = Field(default=("electric-mouse",), min_length=1, max_length=100)
     """Names or files of profiles."""
     anatomies: tuple[str, ...] = Field(default=("paper", "branched"), min_length=1, max_length=100)
     """Names or files of anatomies."""
     fingers: int = Field(default=10, ge=1, le=100_000)
-    """Number of fingers of each anatomy; their seeds count from 1."""
+    """Number of fingers of each anatomy. The seeds of the fingers are 1, 2, 3 and so on."""
     modes: tuple[Literal["RA", "SAI", "PC", "natural"], ...] = Field(default=("RA",), min_length=1)
     """Modes: the classes to stimulate."""
     scans: tuple[Literal["points", "auto"], ...] = Field(default=("points",), min_length=1)
@@ -152,8 +152,8 @@ def study_letters(
 ) -> list[tuple[Choice, Letters]]:
     """Return the scan sequences of all letters for each mode, scan and intensity of the study.
 
-    If kernels must be designed, `progress` is called with the numbers of designed sites and of all
-    sites.
+    If kernels must be designed, `progress` is called with two counts: sites designed so far, and
+    sites to design.
     """
     bank = load_bank(profile, progress)
     return [
@@ -208,8 +208,8 @@ def run_study(
     study: Study,
     beside: Path,  # folder to which file names in the study are relative
     folder: Path,  # folder of the results; created if missing
-    designing: Advance | None = None,  # called with the numbers of designed sites and of all sites
-    progress: Advance | None = None,  # called with the numbers of finished and of all fingers
+    designing: Advance | None = None,  # called with two counts: designed sites, sites to design
+    progress: Advance | None = None,  # called with two counts: simulated fingers, all fingers
 ) -> list[StudyRow]:
     """Run or resume a study, write ``rows.csv``, and return its rows.
 
@@ -289,13 +289,13 @@ def _stored_rows(path: Path) -> list[StudyRow] | None:
     try:
         return from_csv(read_text(path, SmartTouchError, _MOST_PART_BYTES))
     except (SmartTouchError, ValueError, TypeError, csv.Error):
-        return None  # compute the rows again
+        return None  # the caller then computes the rows
 
 
 MEASURES = ("error", "silent_points", "wrong_class", "misplaced")
 TABLE_NOTE = (
-    "Shares of misread letters (errors), points without a spike nearby (silent), spikes of other "
-    "classes (wrong) and spikes away from the letter (misplaced), as means over letters. The table "
+    "Shares, as means over letters: errors (misread letters), silent (points without a spike "
+    "nearby), wrong (spikes of other classes), misplaced (spikes away from the letter). The table "
     "shows the median and the middle 90 % over fingers. mA: mean total current of a slot."
 )
 _CHOSEN = ("profile", "mode", "scan", "intensity")

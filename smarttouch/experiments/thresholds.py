@@ -31,14 +31,16 @@ REACTION_S = 0.35  # reaction time: the threshold is the current 0.35 s before t
 PAUSE_S = (1.0, 2.0)
 """Range of the random pause before a run, s. With a fixed pause, participants could count time."""
 START_SHARE = (0.4, 0.7)
-"""Range of a random share. Runs after the first rise fast to this share of the lowest threshold."""
+"""Range of a random share. In each run except the first, the current rises fast to this share of
+the lowest threshold so far, and then slowly."""
 LEAP = 10  # slope of the fast rise (see `START_SHARE`), divided by the slope after it
 CEILING_S = 1.0  # a run ends after this time at the largest current
-MOST_APART = 1.4  # more runs follow if the thresholds of two runs have a larger ratio
-EXTRA_RUNS = 2
+MOST_APART = 1.4  # largest ratio of the highest to the lowest threshold; above it, runs are added
+EXTRA_RUNS = 2  # largest number of added runs
 HURRIED_S = 0.8
-"""Shortest time between the two keys of a run, s. A shorter time suggests a held key or pain."""
-MOST_HURRIED = 2  # largest number of hurried runs that are repeated
+"""Shortest plausible time between the two key presses of a run, s. After a shorter time, the run is
+repeated: the participant may have held the key down, or felt pain."""
+MOST_HURRIED = 2  # largest number of runs that are repeated because of `HURRIED_S`
 LEAST_RATIO = 1.05  # smallest usable ratio of comfort level to threshold
 STOP_KEYS = ("q", "Q", "\x1b", "\x03", "\x04", "")
 """Keys that end the measurement at once. An empty key means that the terminal was closed."""
@@ -49,9 +51,9 @@ _REACTION, _HURRIED, _CEILING = (
 
 
 def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
-    """Return a copy of a profile whose comfort levels are as high as the device's limits allow.
+    """Return a copy of a profile, with comfort levels as high as the device's limits allow.
 
-    The safety limits do not change. The largest slope in mA/s does not grow. Comfort levels
+    The safety limits do not change, and currents do not rise faster in mA/s. Comfort levels
     stay ``spare_ma`` below the limits of charge and total current, as a margin for rounding.
     """
     full_ma, limits = float(profile.full_ma.max()), profile.limits
@@ -109,10 +111,10 @@ class AscendingLimits:
     *felt*, the second key means *strong enough*."""
 
     ceiling_ma: float  # largest current of a run
-    expected_ma: float  # expected threshold; sets the slope of the current
+    expected_ma: float  # expected threshold; determines how fast the current rises
     repeats: int = 3  # number of runs; up to `EXTRA_RUNS` follow if their thresholds differ
     fastest_ma_s: float = float("inf")  # largest slope of the current
-    seed: int | tuple[int, ...] = 0  # seed of the random pauses and shares (`START_SHARE`)
+    seed: int | tuple[int, ...] = 0  # seed of random pauses and start currents (`START_SHARE`)
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
@@ -147,7 +149,8 @@ class AscendingLimits:
         return not apart or len(thresholds_ma) >= self.repeats + EXTRA_RUNS
 
     def _rise(self) -> Generator[float, bool | None, tuple[float, float] | None]:
-        """Yield the currents of a run. Return threshold and comfort level, or None to repeat."""
+        """Yield the currents of a run. Return its threshold and comfort level, mA. If the run must
+        be repeated, return None."""
         pause, levels, threshold_ma, felt_at = self._draw_pause(), [0.0], math.nan, 0
         share = self._random.uniform(*START_SHARE) if self._runs else 0.0
         start_ma = share * min((run_ma for run_ma, _ in self._runs), default=0.0)
@@ -177,7 +180,8 @@ class AscendingLimits:
                 return threshold_ma, self.ceiling_ma if felt_at else math.nan
 
     def _is_hurried(self, steps: int, felt_at: int) -> bool:
-        """Return whether to repeat a run because its second key came too soon. Count such runs."""
+        """Return whether a run must be repeated because its second key came too soon. If so,
+        increase the count of these runs."""
         hurried = felt_at > 0 and steps - felt_at < _HURRIED and self._hurried < MOST_HURRIED
         self._hurried += hurried
         return hurried
@@ -227,7 +231,6 @@ class Progress(AnswerFile):
         super().close()
 
     def keep(self, site: int, found: Thresholds) -> None:
-        """Append the result of one electrode."""
         values = asdict(found)
         self.append({"electrode": site} | {
             name: None if math.isnan(value) else value for name, value in values.items()
@@ -311,12 +314,13 @@ def sentence(found: Found) -> str:
     spread = float(np.median([site_result.spread for site_result in usable]))
     unusable = sorted(site for site, site_result in found.items() if not site_result.usable)
     return (
-        f"{len(usable)} electrodes by rising current: threshold {np.median(threshold):.2f} mA "
-        f"({threshold.min():.2f} to {threshold.max():.2f}), comfortable up to "
-        f"{np.median(comfort):.2f} mA ({comfort.min():.2f} to {comfort.max():.2f}), spread of a "
-        f"threshold {spread:.1%}, {sum(site_result.runs for site_result in found.values())} runs, "
+        f"{len(usable)} electrodes measured with a rising current; median threshold "
+        f"{np.median(threshold):.2f} mA ({threshold.min():.2f} to {threshold.max():.2f}), median "
+        f"comfort level {np.median(comfort):.2f} mA ({comfort.min():.2f} to {comfort.max():.2f}), "
+        f"median spread of the threshold at one electrode {spread:.1%}, "
+        f"{sum(site_result.runs for site_result in found.values())} runs, "
         f"{sum(site_result.false_presses for site_result in found.values())} false presses"
-        + (f"; not usable, so unchanged: {unusable}" if unusable else "")
+        + (f"; electrodes without usable results keep their values: {unusable}" if unusable else "")
     )
 
 
@@ -380,7 +384,6 @@ class ThresholdProcedure:
             raise self.stopped(progress)
 
     def stopped(self, progress: Progress) -> CalibrationError:
-        """Return the error to raise after a stop."""
         left = len(set(self.sites) - set(progress.found))
         return CalibrationError(
             f"stopped, all electrodes are off; {left} of {len(self.sites)} electrodes are not yet "

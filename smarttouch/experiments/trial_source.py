@@ -28,7 +28,7 @@ _NUMBERS = ("first", "second")
 
 
 class TrialSource(Program):
-    """Source that presents trials and sends each answer to their generator.
+    """Source that presents the trials of a generator, and sends each answer back to the generator.
 
     A trial begins when the current has reached the user's intensity. A trial is repeated if the
     current is lost. An observer, if given, answers instead of a person.
@@ -105,7 +105,6 @@ class TrialSource(Program):
         self._say(self._missing)
 
     def program(self) -> None:
-        """Present all trials."""
         trial = next(self._trials, None)
         while trial is not None:
             self._tell("trial", f": {trial.words}")
@@ -133,7 +132,6 @@ class TrialSource(Program):
         self.title = f"{self._name}: over"
 
     def _attempt(self, trial: Trial) -> Answer:
-        """Present a trial and get its answer."""
         self._say("")
         self.wait(PAUSE_S)
         felt: list[Starts] = []
@@ -208,7 +206,7 @@ class TrialSource(Program):
                     self._pressed.popleft()
             if self._wanted is None:
                 return None
-            # The gate limits the first nonzero level to the rise of the ramp in `FIRST_NS`.
+            # The gate lets the first nonzero level be as high as the ramp rises in `FIRST_NS`.
             risen_ns = min(since_ns - before_ns, MOST_STEP_NS) if level else FIRST_NS
             most_level = level + risen_ns / 1e9 / self._profile.limits.ramp_s
             level, before_ns = min(1.0, self._wanted / full_ma, most_level), since_ns
@@ -253,7 +251,6 @@ class TrialSource(Program):
         return self._answer(trial, response, 0.0)
 
     def _ask(self, trial: Trial) -> Answer:
-        """Ask the question, and wait for a key."""
         self._say(trial.question)
         asked_ns = self.now_ns
 

@@ -55,8 +55,9 @@ class Train:
 
 Course = Generator[float, bool | None, Any]
 """Generator that sets the current of one electrode from key presses. Every `STEP_S` it yields a
-current, mA, and receives whether a key was pressed. It receives None if the current was lost; then
-the current rises from zero. Its return value is `Answer.found`; a string is also the response."""
+current, mA, and receives whether a key was pressed. If the current was lost, it receives None, and
+the current rises from zero again. Its return value becomes `Answer.found`. If this value is a
+string, it also becomes the response."""
 
 
 @dataclass(frozen=True, eq=False)

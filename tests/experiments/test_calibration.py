@@ -191,7 +191,8 @@ def test_medians_spreads_and_most_conditions():
     assert found.spread_kohm[1] == 0
     assert np.isnan(found.spread_kohm[[2, 3]]).all()
     assert found.sentence().startswith(
-        "4 good, 1 open (electrodes 2), 1 short (electrodes 4) of 6 electrodes, the good ones 31"
+        "4 good, 1 open (electrodes 2), 1 short (electrodes 4) of 6 electrodes; good electrodes: "
+        "median impedance 31.5 kohm"
     )
 
 

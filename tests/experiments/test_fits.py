@@ -116,8 +116,8 @@ NO_THRESHOLD = {
     "in turn": (
         lambda each, n: (n % 2 == 0) == (each.comparison_interval == 1), ["depend", 48, 100, 15, 60]
     ),
-    "all felt": (of_counts([1, 2, 3], [10] * 3, [10] * 3), ["always", 30, 1]),
-    "none felt": (of_counts([1, 2, 3], [10] * 3, [0] * 3), ["never", 30, 3]),
+    "all felt": (of_counts([1, 2, 3], [10] * 3, [10] * 3), ["in all", 30, 1]),
+    "none felt": (of_counts([1, 2, 3], [10] * 3, [0] * 3), ["in 0 of", 0, 30, 3]),
     "few answers": (
         lambda each, n: None if n % 5 else each.comparison > 30, ["answered", 20, 100]
     ),

@@ -162,7 +162,7 @@ def test_a_mirror_in_the_optics_is_allowed_for(profile):
 
 def test_a_sensor_too_coarse_for_any_target():
     profile = load_profile("smarttouch-4x4")
-    with pytest.raises(CalibrationError, match=r"16 × 16 pixels .* 24 a side"):
+    with pytest.raises(CalibrationError, match=r"16 × 16 pixels, .* 24 pixels a side"):
         target_for(profile)
 
 
