@@ -191,7 +191,7 @@ def _trend(counts: Counts) -> float:
 
 
 def as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    """Return the results for each standard as JSON values; an undetermined end is null."""
+    """Return the results for each standard as JSON values; an infinite end is null."""
     return [
         {
             "standard": finding.answers.standard or None,
@@ -234,7 +234,7 @@ def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str
 
 
 def in_words(bounds: Bounded | None) -> str:
-    """Return a value with its interval as text, with an ellipsis for an undetermined end."""
+    """Return a value with its interval as text, with an ellipsis for an infinite end."""
     if bounds is None:
         return ""
     low, high = (f"{bound:.3g}" if math.isfinite(bound) else "…" for bound in bounds[1:])
