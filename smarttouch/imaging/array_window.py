@@ -40,7 +40,7 @@ def pixel_pitch_mm(profile: Profile) -> float:
 
 
 def usual_speed_mm_s(profile: Profile, rate_hz: float | None = None) -> float:
-    """Return the speed at which electrodes pulse `SAMPLES_PER_PITCH` times per pitch, mm/s."""
+    """Return the speed, mm/s, at which text moves a pitch in `SAMPLES_PER_PITCH` pulse periods."""
     rate_hz = profile.pulse.rate_hz if rate_hz is None else rate_hz
     return profile.electrodes.cell_mm[0] * rate_hz / SAMPLES_PER_PITCH
 

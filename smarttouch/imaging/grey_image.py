@@ -22,7 +22,7 @@ _MIXES = np.vstack([(0.299, 0.587, 0.114), np.eye(3)[[1, 0, 2]], (1 - np.eye(3))
 _AROUND = np.ones((5, 5), np.uint8)  # neighborhood of a pixel for the detection of edges
 _EDGE_LEVELS = 40  # smallest difference of gray levels that counts as an edge
 _FEWEST_EDGES = 50  # smallest number of edge pixels from which color weights are chosen
-_PRINT_SHARE = 0.1  # ratio of edge pixels to outline pixels above which an area has print
+_PRINT_SHARE = 0.1  # an area shows print if its ratio of edge pixels to outline pixels exceeds this
 _NO_PAGE = 1 | 4  # bits in a TIFF's NewSubfileType that mark thumbnails and masks
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
 """Exceptions of Pillow for damaged files."""
@@ -32,8 +32,8 @@ class GreyConverter:
     """Converter of the images of one source to gray levels.
 
     The converter chooses the level of white, the background of transparent pixels and the weights
-    of colors for the first image that needs them. A brighter image raises the level of white. An
-    image that would lose edges changes the weights.
+    of colors when an image first needs them, and keeps them. If a later image is brighter, the
+    converter raises the level of white. If edges would be lost, it chooses new weights.
     """
 
     def __init__(self) -> None:
@@ -76,8 +76,8 @@ class GreyConverter:
 
 
 def _ground(grey: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> tuple[int, int | None]:
-    """Return the level of a transparent image's background, and the level of the visible pixels.
-    If the visible pixels show print on paper, they keep their levels: the second level is None."""
+    """Return two levels for a transparent image: for its background, and for all visible pixels.
+    The second level is None if visible pixels show print on paper. They then keep their levels."""
     visible = np.asarray(alpha >= max(1, int(alpha.max()) // 2), np.uint8)
     inner = cv2.erode(visible, _AROUND) > 0
     edges = cv2.morphologyEx(grey, cv2.MORPH_GRADIENT, _AROUND)[inner] >= _EDGE_LEVELS
@@ -88,8 +88,8 @@ def _ground(grey: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> tuple[int, int
 
 
 def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
-    """Return the index of the weights that preserve edges best. Keep ``present`` if it is nearly as
-    good. Weights preserve an edge if they keep at least half of its largest contrast."""
+    """Return the index of the weights that preserve edges best, or ``present`` if nearly as good.
+    An edge is preserved if it has at least half of the largest contrast that any weights give."""
     mixed = cv2.transform(colors[:: 1 + len(colors) // 400], _MIXES)
     edges = cv2.morphologyEx(mixed, cv2.MORPH_GRADIENT, _AROUND)
     edges = edges[edges.max(axis=2) >= _EDGE_LEVELS].astype(np.float32)
@@ -100,8 +100,8 @@ def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
 
 
 def _white_level(values: Pixels, black: float = 0.0) -> np.float64:
-    """Estimate the bit depth from the largest level, and return its level of white, such as 255
-    or 65535. If ``black`` is negative, return the largest level minus ``black`` instead."""
+    """Return the level of white at the bit depth that the largest level suggests, such as 255. If
+    the smallest level, ``black``, is negative, return the largest level minus ``black`` instead."""
     peak = float(values.max()) - black
     least = 1 if values.dtype.kind == "f" or peak <= 1 else 255
     return np.float64(peak if black < 0 < peak else max(least, 2 ** int(peak).bit_length() - 1))

@@ -28,8 +28,8 @@ class Raster:
         np.add.at(self.count, (row[on], column[on]), 1)
 
     def mean(self, spread: Callable[[Floats], Floats]) -> Floats:
-        """Return the mean at each pixel: the sum of values divided by their number, both blurred
-        with ``spread``. Pixels without values are 0."""
+        """Return the mean at each pixel. ``spread`` blurs the sums and the numbers of values before
+        the division. Pixels without values are 0."""
         total, count = spread(self.value), spread(self.count)
         return np.divide(total, count, out=np.zeros_like(total), where=count > 1e-6)
 
@@ -66,7 +66,7 @@ class LinePicture:
         self._raster.add(self._row, column, values)
 
     def values(self) -> NDArray[np.float32]:
-        """Return the mean at each place, (H, W) in [0, 1], interpolated."""
+        """Return the mean at each pixel, (H, W) in [0, 1]. A blur fills gaps between electrodes."""
         x, y = self._sigma
         edge = cv2.BORDER_CONSTANT
         return self._raster.mean(

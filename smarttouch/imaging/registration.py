@@ -14,7 +14,7 @@ from smarttouch.profile.electrodes import ElectrodeArray
 
 PIXELS_PER_CELL = 8
 """Number of pixels across an electrode's cell. Finer frames are reduced to this resolution."""
-_SAMPLES = 6  # points along each side of a pixel, to compute the share that lies inside a cell
+_SAMPLES = 6  # points along each side of a pixel; they show which share of it is inside a cell
 
 
 class Apertures(NamedTuple):
@@ -67,7 +67,7 @@ def _reduced_side(side: int, wanted: float) -> int:
 
 
 def _averages(shape: tuple[int, int], to: tuple[int, int]) -> list[tuple[tuple[int, int], int]]:
-    """Return the steps that reduce an image: the shape after each step, and OpenCV's method.
+    """For each step of the reduction, return the new shape and OpenCV's interpolation method.
 
     Steps by a factor of 2 come first, because they are ten times faster than other factors. At the
     factor 2, linear interpolation returns the mean of the pixels.
@@ -108,7 +108,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
     nth = np.arange(len(pixel_index)) - (counts.cumsum() - counts)[electrode]
     pixels = np.zeros((counts.max(initial=0), len(electrodes)), np.intp)
     shares = np.zeros(pixels.shape, np.float32)
-    # The weight of a pixel with n samples is the sum of n weights, `weights.cumsum()[n - 1]`.
+    # The share of a pixel is the sum of the weights of its n samples, `weights.cumsum()[n - 1]`.
     weights = np.full(samples.max(initial=1), 1 / (255 * across * down), np.float32)
     pixels[nth, electrode], shares[nth, electrode] = pixel, weights.cumsum()[samples - 1]
     return Apertures(pixels, shares)
@@ -117,7 +117,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
 def on_frame(
     x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], optics: Optics
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Convert places on the page to fractions of frame width and height; NaN behind the camera."""
+    """Convert places to fractions of frame width and height. Places behind the camera give NaN."""
     if optics.homography is None:
         turn = math.radians(optics.rotation_deg)
         cos, sin = math.cos(turn), math.sin(turn)
@@ -126,7 +126,7 @@ def on_frame(
         return across / optics.field_width_mm + 0.5, down / optics.field_height_mm + 0.5
     a, b, c, d, e, f, g, h, one = optics.homography
     depth = g * x_mm + h * y_mm + one
-    # The depth at the array's middle is `one`. Behind the camera, depths have the opposite sign.
+    # `one` is the depth at the array's middle. Behind the camera, the depth has the other sign.
     depth = np.where(depth * np.sign(one) > 1e-9, depth, np.nan)
     column, row = (a * x_mm + b * y_mm + c) / depth, (d * x_mm + e * y_mm + f) / depth
     return (column + 0.5) / optics.sensor_columns, (row + 0.5) / optics.sensor_rows
@@ -137,8 +137,8 @@ def _field_mm(
 ) -> tuple[float, float]:
     """Return the width and height, mm, of the area of the page that a frame shows.
 
-    With a tilted camera, the scale differs between electrodes. If ``finest``, the finest scale
-    counts, otherwise the coarsest scale.
+    With a tilted camera, the scale differs between electrodes. Use the scale with the most pixels
+    per mm if ``finest``, otherwise the scale with the fewest.
     """
     if optics.homography is None:
         return optics.field_width_mm, optics.field_height_mm
@@ -147,7 +147,7 @@ def _field_mm(
     middle = np.array(on_frame(x_mm, y_mm, optics))
     right = np.array(on_frame(x_mm + step_mm, y_mm, optics)) - middle
     down = np.array(on_frame(x_mm, y_mm + step_mm, optics)) - middle
-    # Shares of the frame's width and height that a millimeter covers, at each electrode.
+    # At each electrode: 1 mm on the page, as a share of the frame's width, and of its height.
     parts = np.hypot(right, down) / step_mm
     chosen = parts.max(axis=1) if finest else parts.min(axis=1)
     if not ((chosen > 0) & (chosen * min(electrodes.cell_mm) <= optics.magnification)).all():

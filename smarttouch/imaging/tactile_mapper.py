@@ -15,12 +15,12 @@ from smarttouch.profile import Profile
 
 LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper
 LEAST_GRAINS = 4.0  # smallest contrast of print, relative to the contrast of the paper's grain
-PALE = 0.3  # dark spots with at least this contrast, relative to white paper, are not grain
+PALE = 0.3  # contrast of the paper's grain is always below this, relative to white paper
 BLURRED = 0.3
-"""Smallest contrast of ink, relative to white paper. In a frame whose largest contrast is below
-0.5, the limit is 0.6 times the largest contrast instead."""
-GREY_GUARD = 0.41  # frames with a larger share of pixels at levels between paper and ink are noise
-BLACK = 0.2  # wide areas darker than this, relative to white, are print, not a dark desk
+"""A pixel is ink only if its contrast, relative to white paper, is above this limit. In a frame
+whose largest contrast is below 0.5, the limit is 0.6 times this largest contrast instead."""
+GREY_GUARD = 0.41  # a frame is noise if a larger share of its pixels is between paper and ink
+BLACK = 0.2  # a wide area darker than this, relative to white, is print; a desk is brighter
 WHITE_DECAY_PER_S = 0.3  # decay rate of the white level, so slow that black headlines stay black
 _CLASSES, _ROWS = len(Afferent), {mode: mode.afferents[0] for mode in Mode}
 _SAMPLES = 32  # rows and columns of the sample from which levels are estimated
@@ -29,10 +29,10 @@ _SAMPLES = 32  # rows and columns of the sample from which levels are estimated
 class Binarizer:
     """Binarizer, which separates ink from paper in successive frames of one shape.
 
-    Dark areas are ink if they are narrower than half the frame, or black. Other dark areas are
-    shadows or a desk, and count as paper. The threshold is halfway between the levels of paper and
-    ink, or darker in a blurred frame. A frame with low contrast has no ink. A frame with many
-    pixels between paper and ink is noise, and has no ink.
+    A dark area is ink if it is black, or if it is narrower than half the frame. Other dark areas
+    are shadows or a desk, and count as paper. The threshold is halfway between the levels of paper
+    and ink; in a blurred frame it is darker. A frame with low contrast has no ink. A frame with
+    many pixels between paper and ink is noise, and has no ink.
     """
 
     def __init__(self, shape: tuple[int, int], light_on_dark: bool = False) -> None:
@@ -72,8 +72,8 @@ ADAPTATION_S = 0.04
 """Time constant of adaptation to constant ink. Our choice: longer than the period of RA pulses, and
 so short that, at reading speed, no stroke smears over the next letter."""
 LEAVING = 0.4
-"""Activation of RA by leaving ink, relative to arriving ink. RA responds less to the end of
-a touch. At 1, the previous stroke would be felt beside the present stroke."""
+"""Activation of RA where ink disappears, relative to where ink appears. RA responds less to the end
+of a touch. With a value of 1, the previous stroke would be felt beside the present stroke."""
 FAINTEST_CHANGE = 0.15  # smallest change of ink that exceeds sensor noise
 
 
@@ -96,8 +96,8 @@ class NaturalDrive:
         time_ns: int,
         touching: bool,
     ) -> None:
-        """Set the rows RA and SAI of ``activation``, (3, E), from ink, (E,). If ``touching``
-        is false, all ink counts as change (RA), and the row SAI is not set."""
+        """Set the rows RA and SAI of ``activation``, (3, E), from ink, (E,). If ``touching`` is
+        false, set only the row RA, as if all ink had just appeared."""
         if self.last_ns is None or not touching:
             self._slow[:] = 0
         change, sustained = activation[Afferent.RA], activation[Afferent.SAI]
@@ -121,7 +121,7 @@ class Tone:
     """Tone curve from ink under an electrode to activation."""
 
     faintest: float = 0.15  # share of ink in a cell above which the electrode is active
-    # share of ink for full activation; if equal to `faintest`, electrodes are on or off
+    # share of ink in a cell for full activation; if equal to `faintest`, activation is 0 or 1
     fullest: float = 0.5
     prepared: bool = False  # whether frames show ink on pure white, so that no threshold is needed
 
@@ -151,11 +151,11 @@ class TactileMapper:
         """Return the tactile image of a frame. Rows of classes that the mode does not use are zero.
 
         The tone curve converts the share of ink in an electrode's cell to activation. Raises
-        ScheduleError for mode color, which needs stimuli.
+        ScheduleError if ``mode`` is COLOR, because this mode takes stimuli, not frames.
         """
         if mode is Mode.COLOR:
             raise ScheduleError(
-                "mode color needs stimuli, but this source delivers images: choose RA"
+                "mode color takes stimuli, but this source delivers images: choose mode RA"
             )
         if frame.image.shape != self._registration.frame_shape:
             self._prepare((frame.image.shape[0], frame.image.shape[1]))
