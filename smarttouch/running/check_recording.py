@@ -73,7 +73,7 @@ def check_recording(
         if recorded.index != report.sequences:
             # Sequences depend on earlier steps, so nothing after a gap can be compared.
             gap_s = recorded.step.input.time_ns / 1e9
-            report.left_out = f"steps are missing before {gap_s:.1f} s: the rest was not compared"
+            report.left_out = f"some steps are missing: from {gap_s:.1f} s on, nothing was compared"
             break
         if profile.limits.ramp_s != recording.profile.limits.ramp_s:
             recorded = replace(
@@ -111,8 +111,8 @@ def rebuild_pipeline(recording: RecordedRun, profile: Profile, bank: KernelBank)
     if run.hold is not None:
         if run.compliance_v is None:
             raise RecordingError(
-                f"the settings in {recording.path} are incomplete: compliance_v is missing, and "
-                "'hold' needs it"
+                f"the settings in {recording.path} are incomplete: the setting 'hold' needs "
+                "compliance_v, which is missing"
             )
         adaptation = Adaptation(profile, run.hold, run.compliance_v)
     if run.balance:

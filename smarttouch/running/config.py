@@ -129,8 +129,8 @@ class RunConfig(Table):
     def sharing(self, profile: Profile) -> SlotPolicy:
         """Return the classes whose points share slots.
 
-        With ``scan="auto"`` this is RA. No class shares slots if ``hold`` is set, if the array
-        allows no proof of selectivity (`provable`), or if board or profile exclude shared slots.
+        With ``scan="auto"`` only RA shares slots. No class does if ``hold`` is set, if selectivity
+        cannot be proved for the array (`provable`), or if board or profile exclude shared slots.
         """
         if unsupported_reason(profile) is not None or self.scan == "points":
             sharing = NO_SHARING

@@ -74,7 +74,7 @@ class Display(Closing):
 
     @property
     def stopping(self) -> StopRequest:
-        """Request that ends runs on this display."""
+        """Stop request, which ends all runs on this display."""
         return self._stop
 
     def stop(self) -> None:
@@ -214,7 +214,7 @@ class Session(Program):
         if isinstance(kind, type) and error is not self._failed:
             # The program failed: set the board to zero at once.
             self._stop.ask(f"the program raised {kind.__name__}")
-        loop, self._outside = self._loop, "the session's with block is over"
+        loop, self._outside = self._loop, "the session's `with` block has ended"
         self._leave()
         try:
             if self._failed is not None:

@@ -49,9 +49,9 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, checked_input
 
 HELD_UP_NS = 1_000_000
-"""If a send waits for the board longer than this, later deadlines move. The wait is the duration of
-the send minus its processor time."""
-_LATE_AGAIN_NS = 5_000_000_000  # late sequences less than this time apart are reported only once
+"""If a send waits longer than this for the board, the loop postpones all later deadlines by the
+wait. The wait is the duration of the send minus its processor time."""
+_LATE_AGAIN_NS = 5_000_000_000  # within this time after a late sequence, others are not reported
 
 LOG = logging.getLogger("smarttouch.run")
 """Logger of events, silent unless a program adds handlers."""
@@ -71,15 +71,16 @@ def emit_to(listeners: Sequence[Listener]) -> Emit:
 
 @contextmanager
 def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iterator[None]:
-    """Warm up the pipeline. In the block, freeze garbage collection and limit OpenCV to one thread.
+    """Warm up the pipeline, then keep the timing steady during the ``with`` block.
 
-    Open the board inside the block. During the warm-up, an open board would report a lost host. In
-    simulated time there is no warm-up and no freeze, because nothing can be late.
+    In the block, OpenCV uses one thread, and garbage collection ignores older objects. The caller
+    opens the board in the block, because an open board would report a lost host during the warm-up.
+    In simulated time there is no warm-up, and garbage collection is normal: nothing can be late.
     """
     threads = cv2.getNumThreads()
     # Images are small: a second thread costs more than it saves.
     cv2.setNumThreads(1)
-    # If the program itself has frozen objects, leave them frozen at the end.
+    # If the program has called gc.freeze, do not call it here: gc.unfreeze would undo both calls.
     freezes = not simulated_time and not gc.get_freeze_count()
     if not simulated_time:
         pipeline.warm_up()
@@ -199,12 +200,13 @@ class Inputs:
     _last_seen: int | None = None
     _blind: bool = False
     _lifted_until_ns: int = 0
-    _inkless_since_ns: float | None = None  # time of first press without ink; inf after `Advice`
+    _inkless_since_ns: float | None = None  # first press without ink; infinite after the advice
 
     def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
-        """Return the input, which has the effective force, and the user's level; None at the end.
+        """Return the next input and the user's level, or None at the end of the source.
 
-        ``time_ns`` is the time of the run, ``now_ns`` is the same moment by the loop's clock.
+        The force of the input is the effective force. ``time_ns`` is the time of the run, and
+        ``now_ns`` is the same moment by the loop's clock.
         """
         source, state = self.source, self.controls.state(time_ns)
         if state.mode is not self.pipeline.mode:
@@ -262,8 +264,8 @@ class Inputs:
     def force_n(self, current: Input, time_ns: int) -> float:
         """Return the effective force, N, or NaN if unknown.
 
-        If a finger may be on the board, only force measured on that finger counts. If the board
-        also measures force, the smaller force counts.
+        If a finger may be on the board, force must be measured on that finger, or stated by the
+        user. If the board measures a force as well, the smaller of the two counts.
         """
         on_board, virtual = self.board.force_n, not self.board.on_a_finger
         if self.force is not None:
@@ -310,9 +312,9 @@ class Loop:
     """Loop that delivers the inputs of a source to an open board, one sequence after another.
 
     The loop reads the source at each deadline. The next deadline is one sequence period later, so
-    inputs never queue. If the loop is late, all later deadlines move. Statistics are updated at
-    each step, so they are complete after a fault. Listeners also receive steps whose sequences were
-    lost with the board.
+    inputs never queue. If the loop is late, it postpones all later deadlines. Statistics are
+    updated at each step, so they are complete after a fault. Listeners also receive steps whose
+    sequences did not reach the board.
     """
 
     def __init__(
@@ -352,7 +354,7 @@ class Loop:
         self._may_stall = not board.simulated_time
         self._seconds = seconds
         self._start_ns: int | None = None
-        self._zero_ns = 0  # start of the run by the loop's clock, plus all delays
+        self._zero_ns = 0  # time 0 of the run by the loop's clock; each delay moves it later
         self._over_ns = 0  # end of the last sequence by the loop's clock
         self._report_late_ns = 0  # time of the run from which late sequences are reported
         self._expected_ns: int | None = None
@@ -366,7 +368,7 @@ class Loop:
 
     @contextmanager
     def steady(self) -> Iterator[None]:
-        """Move the next deadline to now; use real-time priority in the block if allowed."""
+        """Move the next deadline to now. Give the ``with`` block real-time priority if allowed."""
         with prioritized() if self._may_stall else contextlib.nullcontext(False) as real_time:
             if self._start_ns is None:
                 self.inputs.statistics.real_time = real_time
@@ -413,7 +415,7 @@ class Loop:
         """Deliver one input; return False at the end of the source or of the run."""
         inputs, clock = self.inputs, self._clock
         pipeline, board, phase = inputs.pipeline, inputs.board, self._phase
-        # Read the board's clock first. If the computer then pauses, `due_ns` is early, not late.
+        # Read the board's clock first: then a pause between the readings cannot make `due_ns` late.
         board_ns, now_ns = board.clock.now_ns(), clock.now_ns()
         since_ns, deadline_ns = now_ns - (self._start_ns or 0), self._zero_ns + self.elapsed_ns
         inputs.statistics.seconds = since_ns / 1e9
@@ -444,7 +446,7 @@ class Loop:
             step, number, (sent_ns - in_hand_ns) / 1000, (over_ns - worked_ns) / 1000,
             board.acknowledged, board.refused, None if phase is None else phase.newest, since_ns,
         )  # fmt: skip
-        # The wait is the duration of the send minus the processor time of the gate and of writing.
+        # Time that the send waited: its duration minus the processor time of gate and writing.
         waited_ns = sent_ns - sending_ns - (over_ns - own_ns)
         sent = Sent(
             number or 0, in_hand_ns - step.input.age_ns, deadline_ns, self.elapsed_ns,
@@ -457,7 +459,7 @@ class Loop:
         return True
 
     def _handle_loss(self, step: Step, lost: BoardRestartedError) -> None:
-        """Restart at zero after a sequence was late or was lost with the board."""
+        """Restart intensity at zero after a sequence was late, or after the board was lost."""
         late = isinstance(lost, SequenceLateError)
         self.inputs.statistics.restarts += not late
         # On a busy computer many sequences can be late: count all of them, but report few.
@@ -480,14 +482,14 @@ class Loop:
             expected_ns, late_ns = self._expected_ns, now_ns - sent.deadline_ns
             error_us = None if expected_ns is None else abs(now_ns - expected_ns) / 1000
             statistics.enter(result, error_us)
-            # If the send waited for the board, move all deadlines later by this time. Later
+            # If the send waited for the board, postpone all deadlines by the wait. The next
             # sequences then need not wait, and are made from fresher frames.
             self._zero_ns += sent.waited_ns
             if late_ns > sent.period_ns:
                 statistics.late += 1
                 self._zero_ns += late_ns
             more_ns = 0 if phase is None else phase.follow(self._zero_ns, sent)
-            # Expect the next step later by `more_ns`, so that the delay does not count as an error.
+            # Expect the next step `more_ns` later, so that this delay does not count as an error.
             self._zero_ns += more_ns
             self._expected_ns = now_ns + sent.period_ns + more_ns
             self._over_ns = sent.sent_ns + sent.period_ns + more_ns

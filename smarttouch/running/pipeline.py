@@ -59,10 +59,8 @@ class Regulator:
         return balanced
 
     def take_back(self, sequence: ScanSequence) -> None:
-        """Remove a sequence from the ledger, because the sequence did not reach the board.
-
-        With recharge phases, do nothing: ledger and gate must count the same charge.
-        """
+        """Remove from the ledger a sequence that did not reach the board. With recharge phases, do
+        nothing: the gate still counts the sequence, and ledger and gate must agree."""
         if self.ledger is not None and self.recharge is None:
             self.ledger.add(sequence, -1)
 
@@ -122,7 +120,7 @@ class Pipeline:
             self._common.net = NetPlan(self.electrodes)
         self._scans: dict[Mode, ScanScheduler] = {}
         self.table: KernelTable | None = None
-        """Quantized kernels, if the board stores kernels. The table contains the kernels of the
+        """Table of quantized kernels, if the board stores kernels. It contains the kernels of the
         bank and the kernels for shared slots."""
         if in_sums and profile.output.kind == "weighted":
             frames = {
@@ -147,10 +145,8 @@ class Pipeline:
         self.restart_at_zero()
 
     def offered(self) -> tuple[Mode, ...]:
-        """Return the modes that board, profile and kernels offer.
-
-        Changes to or from mode color are not offered, because only this mode needs stimuli.
-        """
+        """Return the modes that board, profile and kernels offer. Changes to or from mode color are
+        not offered, because this mode takes no frames."""
         modes = []
         for mode in Mode:
             with contextlib.suppress(SmartTouchError):
@@ -171,7 +167,7 @@ class Pipeline:
             if mode is Mode.COLOR:
                 possible = {*bank.weights, *[Afferent.PC] * vibrated}
                 classes = tuple(afferent for afferent in classes if afferent in possible)
-            # rate_hz applies to one class. After a change to natural mode, use the profile's rates.
+            # rate_hz is for one class. A change to natural mode restores the profile's two rates.
             natural = mode is Mode.NATURAL and bool(self._scans)
             self._scans[mode] = ScanScheduler(
                 self._profile, bank, classes, None if natural else config.rate_hz, self._timing,
@@ -241,21 +237,19 @@ class Pipeline:
             return notes
         return [
             *notes,
-            f"{slowed} sequences were slowed and {emptied} lost their pulses to keep the net "
-            f"current of each electrode below {1000 * CEILING_NET_MA:g} µA: to reach the requested "
-            "rate, set balance, show fewer points or lower the intensity",
+            f"to keep the net current of each electrode below {1000 * CEILING_NET_MA:g} µA, "
+            f"{slowed} sequences were slowed and {emptied} were sent without pulses: to reach the "
+            "requested rate, use --set balance, show fewer points or lower the intensity",
         ]
 
     def warm_up(self) -> None:
-        """Process two inputs with a temporary copy of this pipeline.
-
-        First calls import modules and allocate memory. In the loop, they would delay a pulse.
-        """
+        """Process two inputs with a temporary copy of this pipeline. The first call of a function
+        may import modules and allocate memory. In the loop, this work would delay a pulse."""
         twin = copy.copy(self)
         config = self._config
         twin._mapper = self._make_mapper(self._profile, config.light_on_dark, config.tone)
         twin.ramp = Ramp(self._limits.ramp_ns)
-        # The copy can share the makers of slots with this pipeline: makers have no state.
+        # The copy and this pipeline share the objects that make slots: these objects have no state.
         twin._scans, twin._common = {}, replace(self._common, net=None)
         twin.regulator = Regulator()
         twin.change_mode(self.mode)
@@ -300,8 +294,9 @@ def make_regulator(
             )
         if config.hold == "energy":
             note(
-                f"To keep energy constant, currents start at {RESERVED:.0%} of the requested "
-                "currents: raise the intensity if needed. If the skin gets wet, currents can rise."
+                f"To keep energy constant, currents start at {RESERVED:.0%} of their requested "
+                "values: raise the intensity if needed. If the skin gets wet, currents rise, at "
+                "most to the requested values."
             )
         adaptation = Adaptation(profile, config.hold, can.compliance_v)
     if config.balance:
@@ -314,8 +309,9 @@ def make_regulator(
             )
         else:
             note(
-                "This board has no recharge phase, so balance reverses complete scans. Reversed "
-                "scans stimulate the other class: SAI instead of RA, and RA instead of SAI."
+                "This board has no recharge phase, so the setting balance reverses the currents of "
+                "complete scans. These scans stimulate the other class: SAI instead of RA, and RA "
+                "instead of SAI."
             )
         ledger = ChargeBalance(can.electrodes)
         ledger.charge_pc[:] = board.net_charge_pc

@@ -1,4 +1,4 @@
-"""Programs: sources that show patterns one after another, or always the latest pattern."""
+"""Programs: sources that show one pattern after another, or repeat the latest pattern."""
 
 import contextlib
 import math
@@ -43,7 +43,7 @@ STEADY = 0.98  # a level counts as reached at this share of the level
 SILENT_US = 20_000  # period of sequences without current, and of weak pulses while the ramp rises
 _FAINT = 0.01  # activation of the first pulses of a ramp, near the detection threshold
 _POLL_S = 0.01  # interval at which a waiting thread checks whether it was canceled
-_IDLE_S = 0.045  # longest time between sequences while `put` shows a pattern without current
+_IDLE_S = 0.045  # longest time between sequences of `put` while no current flows
 
 Pattern = NDArray[Any] | Frame | TactileImage
 """Activation (E,) or (3, E), an image (H, W), a frame, or a tactile image."""
@@ -51,7 +51,7 @@ Level = float | Callable[[float], float | None]
 """Share of the session's intensity, in [0, 1], or a function that returns this share. The function
 takes the seconds since the pattern began, and returns None to end the pattern."""
 CANCELED: ContextVar[threading.Event | None] = ContextVar("canceled", default=None)
-"""Event that cancels the pattern shown by the current thread or task."""
+"""Event that cancels the pattern that the calling thread or task shows."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,13 @@ class Shown:
     board_us : int or None, µs
         Start of the first pulse by the board's clock; None if the board does not report it.
     sequences, pulses : int
-        Numbers of sequences and of slots.
+        Number of sequences, and number of pulses, one for each slot.
     intensity : float, in [0, 1]
         Lowest intensity of all sequences.
     current_ma : float, mA
         Strongest current in the last sequence with pulses, magnitude.
     ramped_s : float, s
-        Time that the ramp needed to reach the pattern's level; 0 if the ramp was already there.
+        Time that the ramp needed to rise to the pattern's level; 0 if it was high enough before.
     """
 
     time_ns: int
@@ -113,7 +113,7 @@ class Program(Source, Listener):
         self._loop: Loop | None = None  # loop of the current run
         self._context: RunContext
         self._mapper: TactileMapper
-        self._outside = "enter the session's with block first"
+        self._outside = "use the session in a `with` block"
         self._failed: BaseException | None = None
         self._input: Input | None = None
         self._result: StepResult
@@ -139,7 +139,7 @@ class Program(Source, Listener):
         try:
             self.program()
         except SmartTouchError:
-            # After a stop, each attempt to show a pattern raises an error, which is not a fault.
+            # After a stop, each attempt to show a pattern raises an error. Ignore this error.
             if self._failed is not None or not loop.stop.event.is_set():
                 raise
         finally:
@@ -183,7 +183,7 @@ class Program(Source, Listener):
         pattern : ndarray or Frame, optional
             Pattern (see `show`) whose electrodes carry the pulses; by default the middle electrode.
         exact : bool
-            If true, the level counts as reached only if force and the user's level do not lower it.
+            If false, force and the user's level lower the level that the ramp must reach.
 
         Raises
         ------
@@ -207,7 +207,7 @@ class Program(Source, Listener):
     ) -> Shown:
         """Show a pattern for some time, and return at the end of the pattern.
 
-        If the ramp is below ``opens``, this method first raises the ramp, like `rise`.
+        If the ramp is below the level ``opens``, this method first raises the ramp, as `rise` does.
 
         Parameters
         ----------
@@ -227,7 +227,7 @@ class Program(Source, Listener):
         least : float, in [0, 1]
             Share of the requested intensity below which the pattern ends with an error.
         exact : bool
-            If true, the pattern ends with an error if force or the user's level lowers intensity.
+            Whether the pattern ends with an error when force or the user's level lowers intensity.
 
         Raises
         ------
@@ -282,8 +282,8 @@ class Program(Source, Listener):
             lost = result.number is None or result.step.restarted or (asked == 0 and not exact)
             if lost or sequence.intensity < least * asked:
                 raise LevelNotReachedError(
-                    f"the pattern lost its level after {sequences} sequences: the finger was "
-                    "lifted, the session paused, or the connection to the board lost"
+                    f"intensity fell after {sequences} sequences of the pattern: the finger was "
+                    "lifted, the session was paused, or the connection to the board was lost"
                 )
         board, board_us = self._context.board, None
         if first is not None and (start := board.start_of(first)) is not None:
@@ -298,7 +298,7 @@ class Program(Source, Listener):
 
         Parameters
         ----------
-        seconds : float, s, in the time of the run
+        seconds : float, s, by the clock of the run
         until : callable, optional
             Function that returns true to end the wait; called 50 times a second.
         """
@@ -387,7 +387,8 @@ class Program(Source, Listener):
                     self._context.board.stop()
 
     def _newest(self) -> Stimulus:
-        """Return the latest pattern of `put`. A new or resumed pattern gets a new number."""
+        """Return the latest pattern of `put`. The pattern gets a new number if it is new, or if it
+        is shown again after another pattern."""
         with self._put_lock:
             pattern, came_ns, stale_ns = self._put
             if self._is_new or self._count != self._put_count:
@@ -404,7 +405,7 @@ class Program(Source, Listener):
     @contextmanager
     def _turn(self, waits: bool = True) -> Iterator[Loop]:
         """Wait until no other thread shows a pattern, set the next deadline to now, and yield the
-        loop. If ``waits``, the thread of `put` stops sending to let this thread begin."""
+        loop. If ``waits`` is true, the thread of `put` lets the calling thread begin."""
         waiting = [object()] * waits
         self._waiting.extend(waiting)
         self._news.set()

@@ -18,7 +18,7 @@ from smarttouch.sources.source_contract import Input, Source, Stimulus
 def open_recording(rest: str, profile: Profile) -> "RecordingSource":
     """Open the source ``recording:FILE``."""
     if not rest:
-        raise SourceError("recording: needs a file: give recording:FILE.mcap")
+        raise SourceError("the source recording needs a file: give recording:FILE.mcap")
     return RecordingSource(RecordedRun(Path(rest)))
 
 
@@ -28,7 +28,7 @@ class RecordingSource(Source):
     An input that was sent as several sequences counts once. Inputs recorded as stale are stale.
     """
 
-    knows_force = True  # recorded force, used only if no finger can be on the board
+    knows_force = True  # the recorded force is used only if no finger can be on the board
 
     def __init__(self, recording: RecordedRun) -> None:
         super().__init__(recording.path.name)
@@ -60,7 +60,7 @@ class RecordingSource(Source):
         return replace(recorded, time_ns=time_ns, number=number, age_ns=age_ns, stale=stale)
 
     def narrowed(self, profile: Profile) -> Profile:
-        """Return the profile. Recorded limits replace the profile's limits where they are stricter.
+        """Return the profile, with each limit replaced by the recorded limit if that is stricter.
 
         Raises RecordingError if recorded stimuli are for another number of electrodes.
         """

@@ -26,7 +26,7 @@ from smarttouch.running.recording_format import (
 )
 from smarttouch.running.step import Listener, RunContext, StepResult
 
-CHUNK_S = 1.0  # longest time until a step is on disk; a killed program loses newer steps
+CHUNK_S = 1.0  # longest time until a step is on disk; a killed program loses at most this time
 MOST_WAITING = 1000  # largest number of steps waiting for the disk
 
 
@@ -58,7 +58,7 @@ class Recorder(Listener):
         self._thread: threading.Thread | None = None  # runs from `start` to `close`
 
     def prepare(self, run: RunContext) -> None:
-        """Raise RecordingError if the file exists, before the display is opened."""
+        """Before the display is opened, raise RecordingError if the file already exists."""
         if self.path.exists():
             raise RecordingError(
                 f"{self.path} exists and recordings are never overwritten: give another name"

@@ -15,7 +15,7 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.running.step import FirstPulse, StepResult
 from smarttouch.sources.source_contract import Source
 
-_PER_E = 100  # number of bins between a duration and e times this duration
+_PER_E = 100  # number of bins from a duration to this duration times e (2.718)
 _FACTORS = 17  # the bins reach from 1 µs to e**17 µs, which is 24 s
 
 
@@ -87,7 +87,8 @@ class RunStatistics:
     off_target: float = 0.0
     """Largest off-target activation in slots with several points."""
     spill: float = 0.0
-    """Largest spill in slots with several points."""
+    """Largest spill in slots with several points: activation of the target's class outside of the
+    target, relative to that of the target."""
     kernels: KernelBank | None = None
     """Kernel bank of the run."""
     modes: set[Mode] = field(default_factory=set)
@@ -149,8 +150,8 @@ class RunStatistics:
 
     @property
     def selectivity(self) -> tuple[float, float] | None:
-        """Largest off-target activation and largest spill of the kernels for the used modes, and
-        of all slots with several points. None if unknown."""
+        """Largest off-target activation, and largest spill. Both include the kernels of all used
+        modes, and all slots with several points. None if unknown."""
         bank, other, spill = self.kernels, self.off_target, self.spill
         if bank is None or bank.discs:
             return (other, spill) if other or spill else None
@@ -231,7 +232,7 @@ class Sent:
     taken_ns: int  # capture time of the image
     deadline_ns: int
     elapsed_ns: int  # time of the run at the deadline
-    waited_ns: int  # time that sending waited for space on the board, or 0
+    waited_ns: int  # time that the send waited for space on the board; 0 if it was short
     sent_ns: int
     period_ns: int
     ahead_ns: int  # time by which the board's clock is ahead of the loop's
@@ -242,8 +243,8 @@ class PhaseLock:
 
     The board reports when it starts each sequence. The deadline should precede this start by the
     sum of transfer time, usual delay of sending, and `GUARD_NS`. If a deadline is too early, all
-    following deadlines move later. Deadlines need not move earlier: if a deadline is too late, the
-    board starts this sequence and all later sequences later.
+    following deadlines are postponed. A deadline that is too late needs no correction, because the
+    board then delays this sequence and all that follow.
     """
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:

@@ -91,7 +91,7 @@ class Runner:
 
     @contextmanager
     def running(self, *, orderly: bool = False) -> Iterator[Loop]:
-        """Open the display for a block, and yield the loop that delivers inputs.
+        """Open the display for a ``with`` block, and yield the loop that delivers inputs.
 
         The display is at zero after the block. If ``orderly``, a signal only requests a stop, and
         the block must then end by itself.
@@ -176,8 +176,8 @@ class Runner:
 
     @contextmanager
     def _open_loop(self, context: RunContext, pipeline: Pipeline) -> Iterator[Loop]:
-        """Open the board for a block, and yield the loop. After the block the board is closed and
-        at zero."""
+        """Open the board for a ``with`` block, and yield the loop. After the block the board is at
+        zero and closed."""
         board, profile, source = context.board, context.profile, self.source
         on_a_finger = self.display.on_a_finger
         clock = SimulatedClock() if board.simulated_time and not self.config.paced else None
@@ -242,9 +242,9 @@ class Runner:
         if not flows:
             raise SourceError(
                 f"neither {title} nor the board measures the finger's force, and without force no "
-                "current flows: choose a source of force, for example --force hx711:PORT. If a "
-                "person presses without a sensor, state the force by --force "
-                f"fixed:{self.display.profile.force.full_n:g} (N)"
+                "current flows: choose a source of force, for example --force hx711:PORT. If "
+                "there is no sensor, state the finger's force in N, for example --force "
+                f"fixed:{self.display.profile.force.full_n:g}"
             )
 
 
@@ -310,7 +310,7 @@ def run(
         Function that converts a `Frame` to activation, (3, E) in [0, 1], instead of the built-in
         imaging.
     stop : StopRequest, optional
-        Request that ends the run, like `Display.stop`.
+        Stop request, which ends the run, like `Display.stop`.
     **settings
         Settings of `RunConfig` that replace those of ``config``: ``mode``, ``seconds``,
         ``intensity`` …

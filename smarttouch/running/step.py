@@ -83,7 +83,7 @@ class StepResult:
     work_us : float
         Processor time of the loop for this step.
     acknowledged, refused : int
-        Numbers of sequences that the board had begun to deliver, and that it had refused.
+        Number of sequences that the board had begun to deliver, and number that it had refused.
     clock_ns : int
         Real time from the start of the run to the start of the step, including all delays; -1 if
         unknown.
@@ -203,7 +203,7 @@ class Listener:
         """Process an event. Any thread may call this, even before `start`."""
 
     def finish(self, run: RunContext) -> None:
-        """Complete results after a run without a fault. The board is closed."""
+        """Complete the results. Called after a run without a fault, when the board is closed."""
 
     def close(self) -> None:
         """Release resources, also after a fault; a second call does nothing."""

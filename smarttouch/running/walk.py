@@ -66,7 +66,7 @@ class Walk(Program):
                 activation, level = self._nothing.copy(), 0.0
                 activation[Afferent.RA, site] = 1
                 self._leaves, began_ns = False, self.now_ns
-                # Count the time of sent sequences, not pauses of the computer.
+                # Count the durations of the sent sequences, without pauses of the computer.
                 while not level or (not self._leaves and self.now_ns - began_ns < each_ns):
                     self._count += 1
                     self._send(self._stimulus(activation, period_us, level))
