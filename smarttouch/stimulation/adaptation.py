@@ -34,8 +34,8 @@ class Adaptation:
     """Controller of currents and pulse widths, by the measured voltage of each site.
 
     If ``hold`` is "charge", pulses near the compliance voltage become weaker and longer. The board
-    must allow a width for each slot. If ``hold`` is "energy", currents are multiplied by `RESERVED`
-    and by √(first impedance / present impedance). The product of these factors is at most 1.
+    must allow different pulse widths in a scan. If ``hold`` is "energy", currents are multiplied by
+    `RESERVED` and by √(first impedance / present impedance), together by at most 1.
     """
 
     def __init__(self, profile: Profile, hold: Hold, compliance_v: float) -> None:
@@ -45,8 +45,8 @@ class Adaptation:
         self._switched = profile.output.kind != "weighted"
         self._near_v = NEAR * compliance_v
         longest = profile.pulse.width_us / profile.limits.pulse_us
-        # Smallest value of `_highest_ua`. At full intensity, a smaller value would give the same
-        # pulses, and would take longer to rise.
+        # Smallest value of `_highest_ua`. At full intensity, pulses then have the longest width.
+        # Smaller values would not change the pulses, and would take longer to rise.
         self._least_ua = longest * np.asarray(profile.threshold_ma, np.float64) * 1000
         self._highest_ua = np.full(sites, np.inf)
         self._first_kohm = np.full(sites, np.nan)
@@ -55,7 +55,7 @@ class Adaptation:
 
     @property
     def limited(self) -> tuple[int, ...]:
-        """Sites where charge or energy varies, as pulses cannot become longer or stronger."""
+        """Sites whose charge or energy varies, because pulses cannot be longer or stronger."""
         return tuple(np.flatnonzero(self._limited).tolist())
 
     def observe(self, sequence: ScanSequence, volts: NDArray[np.float32]) -> None:

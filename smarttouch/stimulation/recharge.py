@@ -1,8 +1,8 @@
 """Charge balance by reversed polarity, or by a long weak recharge phase in each scan.
 
 The recharge current of an electrode is at most a tenth of its threshold for pulses. A long phase
-has a lower threshold than a pulse, and currents of neighbors add up. Still the phase cannot be
-felt. By Weiss's law, the recharge phase of a letter reaches at most 0.27 of an afferent's threshold
+has a lower threshold than a pulse, and currents of neighbors add up. The phase nevertheless cannot
+be felt: by Weiss's law, it reaches at most 0.27 of an afferent's threshold while a letter is shown
 on the electric mouse, and 0.44 on the denser electrodes of the Optacon.
 """
 
@@ -52,12 +52,12 @@ class ChargeBalance:
         self.charge_pc += times * net_charge_pc(sequence)
 
     def balancing(self, sequence: ScanSequence) -> ScanSequence:
-        """Return a sequence or its reversal: the one after which Σ (net charge)² is smaller.
+        """Return a sequence or its reversal, whichever leaves the smaller Σ (net charge)².
 
-        Use this for boards of both polarities that cannot make recharge phases (`add_recharge`).
-        The reversal has opposite currents at the same sites, and keeps the same limits. **The
-        reversal stimulates another class**: reversed currents for RA stimulate SAI, and vice versa
-        (paper, Fig. 10). The reversal has no proof of selectivity. `charge_pc` does not change.
+        Use this for boards of both polarities without recharge phases; else use `add_recharge`. The
+        reversal has opposite currents at the same sites, and keeps the same limits. **The reversal
+        stimulates another class**: reversed currents for RA stimulate SAI, and vice versa (paper,
+        Fig. 10). The reversal has no proof of selectivity. `charge_pc` does not change.
         """
         if self.charge_uc @ (net_charge_pc(sequence) * 1e-6) <= 0:
             return sequence
@@ -111,7 +111,7 @@ def add_recharge(
     most_ua = rules.most_ua
     if not sequence.slots or not (asked_pc * most_ua).any():
         return sequence
-    # The electrode that needs most time determines the width, up to the limit.
+    # The width of the phase is the longest time that any electrode needs, within its limit.
     able = most_ua > 0
     needed_us = -(-asked_pc[able] // most_ua[able])
     allowed_us = np.minimum(MOST_RECHARGE_PC // most_ua[able], MOST_RECHARGE_US)
@@ -148,8 +148,8 @@ def _recharge_ua(
         within_ua[larger[np.argsort(rest_pc, kind="stable")[: abs(surplus)]]] -= np.sign(surplus)
     poles_ua = np.cumsum([np.maximum(within_ua, 0), np.maximum(-within_ua, 0)], axis=1)
     shared_ua = min(int(poles_ua[0, -1]), int(poles_ua[1, -1]), total_ua)
-    # Scale the cumulative sums of both polarities to the same total, and round down. Then the
-    # currents sum to zero, and no current becomes larger.
+    # Scale the cumulative sums of both polarities to the same total, and round down. The
+    # differences of these sums are the currents: they sum to zero, and none is larger than before.
     cathodic, anodic = (pole * shared_ua // max(1, int(pole[-1])) for pole in poles_ua)
     return np.asarray(np.diff(cathodic - anodic, prepend=0), np.int16)
 

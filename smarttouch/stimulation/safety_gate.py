@@ -21,18 +21,18 @@ __all__ = ["ProvedSequence", "Ramp", "SafetyGate", "SafetyLimits"]
 LEEWAY_PPB = 1000  # strength may exceed the ramp's limit by this much, ppb, due to rounding
 LEVEL_KEPT_NS = 15_000_000_000
 """Longest pause without current, ns, in which the ramp keeps its level. After a longer pause the
-level is zero. A participant of an experiment can answer in this time."""
+level is zero. The pause is long enough for a participant of an experiment to answer."""
 PLANNED_KEPT_NS = LEVEL_KEPT_NS - 1_000_000_000
-"""Plans restart at zero after a pause without current that is longer than this, ns. The value is
-below `LEVEL_KEPT_NS`, because a sequence is written some time after it is planned."""
+"""Longest pause without current, ns, after which plans do not restart at zero intensity. The value
+is below `LEVEL_KEPT_NS`, because a sequence is written some time after it is planned."""
 FIRST_NS = 20_000_000
-"""In this time, ns, the ramp rises to the first planned strength above zero. If all currents round
-to zero at this strength, the scheduler plans a larger one."""
+"""Time, ns, in which the ramp rises from zero to the first strength that the scheduler plans. If
+all currents round to zero at this strength, the scheduler plans a larger strength."""
 MOST_STEP_NS = 80_000_000
-"""Plans increase the strength by at most the rise of the ramp in this time, ns."""
+"""Time, ns, in which the ramp rises as much as strength may rise from one plan to the next."""
 AHEAD_NS = 85_000_000
-"""Planned strengths exceed the ramp's level by at most the rise of the ramp in this time, ns. The
-gate allows the rise in 100 ms, so that late sequences can catch up."""
+"""Time, ns. A planned strength may exceed the ramp's level by as much as the ramp rises in this
+time. The gate allows as much as the ramp rises in 100 ms, so that late sequences can catch up."""
 
 _ARRAYS = (
     ("current_ua", np.dtype(np.int16), 2, True),
@@ -42,22 +42,23 @@ _ARRAYS = (
     ("vibration", np.dtype(np.float32), 1, False),
     ("recharge_ua", np.dtype(np.int16), 1, False),
 )
-"""Name, type and number of dimensions of each array of a sequence. The last entry is True for
-arrays with one row for each slot. The other arrays may be None."""
+"""For each array of a sequence: its name, type, number of dimensions, and whether it has one row
+for each slot. Arrays that do not have one row for each slot may be None."""
 
 WAITS_NS = 5_000_000_000
-"""`SafetyGate.repeated` allows at least this delay, ns. Resynchronizing a board takes over 2 s."""
+"""Fixed part, ns, of the largest delay that `SafetyGate.repeated` allows. It is this long because
+resynchronizing a board takes over 2 s."""
 
 
 class Ramp:
     """Slew limit of the strength of sequences, in integer parts per billion (ppb) of full strength.
 
-    The level rises only while passes with current are delivered, and never above their strength
-    (see `sequence_limits.strength_ppb`). The rise from zero to full takes at least ``ramp_ns``. A
-    sequence may exceed the level by the rise of the ramp in `LATE_NS`, so that late sequences can
-    catch up. A sequence of lower intensity lowers the level to this intensity. After
-    `LEVEL_KEPT_NS` without current, the level is zero. Without a ``clock``, the times of the
-    sequences are used.
+    The ramp has a level. It rises only while passes with current are delivered, and never above the
+    strength of these passes (see `sequence_limits.strength_ppb`). The rise from zero to full takes
+    at least ``ramp_ns``. The strength of a sequence may exceed the level by as much as the ramp
+    rises in `LATE_NS`, so that late sequences can catch up. If the intensity of a sequence is below
+    the level, the level falls to this intensity. After a pause without current of over
+    `LEVEL_KEPT_NS`, the level is zero. Without a ``clock``, the times of the sequences are used.
     """
 
     def __init__(self, ramp_ns: int, clock: Clock | None = None) -> None:
@@ -117,7 +118,8 @@ class Ramp:
 
     def permits(self, strength_ppb: int, claimed_ns: int, open_ppb: int | None = None) -> bool:
         """Return whether a sequence of this strength may begin now. The strength may exceed the
-        ramp's level by the rise of the ramp in `LATE_NS`. ``open_ppb`` is the level, if known."""
+        ramp's level by as much as the ramp rises in `LATE_NS`. ``open_ppb`` is this level, if the
+        caller knows it."""
         with self.lock:
             most_ppb = LEEWAY_PPB
             if self._begun:
@@ -126,8 +128,9 @@ class Ramp:
             return strength_ppb <= most_ppb
 
     def note(self, ppb: int, strength_ppb: int, claimed_ns: int, lasting_ns: int) -> None:
-        """Record a written sequence. A level above the intensity ``ppb`` falls to ``ppb``.
-        Then the level rises during the passes, for ``lasting_ns``, at most to ``strength_ppb``."""
+        """Record a written sequence. If the ramp's level is above the intensity ``ppb``, it falls
+        to ``ppb``. Then it rises during the passes (``lasting_ns``), at most to
+        ``strength_ppb``."""
         with self.lock:
             # The board finishes the running pass of the old sequence and drops its other passes.
             now_ns, open_ppb = self.open_at(claimed_ns)
@@ -253,7 +256,7 @@ class SafetyGate:
         Raises
         ------
         SafetyError
-            With the limit, slot, electrode and values.
+            If the gate rejects the sequence. The error has the limit, slot, electrode and values.
         """
         with self.ramp.lock:
             times = times if type(times) is int else _whole(times, "times")
@@ -289,8 +292,8 @@ class SafetyGate:
 
     def repeated(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
         """Return a proved sequence with the later start ``due_ns``. Use this if the host times the
-        repetitions, or if the board was not ready. The largest allowed delay is the time of
-        all passes, four more periods and `WAITS_NS`. Raises SafetyError if the delay is larger."""
+        repetitions, or if the board was not ready. The largest allowed delay is the sum of the time
+        of all passes, four periods and `WAITS_NS`. Raises SafetyError if the delay is larger."""
         period_ns = 1000 * proved.sequence.period_us
         latest_ns = proved.due_ns + (proved.times + 4) * period_ns + WAITS_NS
         if due_ns > latest_ns:

@@ -316,8 +316,8 @@ _SENTENCES = {
     "electrode, {allowed:g} µC: lower the current or the pulse width",
     "claimed_ma": "the strongest current is {value:.3f} mA, but the stated intensity allows "
     "{allowed:.3f} mA: lower the current, or state a higher intensity",
-    "recharge": "a recharge phase needs slots before it, {allowed} currents and a width: "
-    "complete or remove the phase",
+    "recharge": "a recharge phase needs a width, {allowed} currents, and slots that precede it: "
+    "add what is missing, or remove the phase",
     "recharge_us": "the recharge phase takes {value} µs, must take from 1 to {allowed} µs",
     "recharge_balance": "the recharge phase is out of balance by {value} µA: currents must sum to "
     "{allowed}",
@@ -329,10 +329,10 @@ _SENTENCES = {
     "the net charge, it must carry between 0 and {allowed:g} µC",
     "passes": "{value} sequences would be delivered within a second, and limits.rate_hz allows "
     "{allowed}: send sequences less often",
-    "pulses_hz": "electrode {electrode}: {value:g} perceptible pulses within one pass or one "
-    "second are above the limit of {allowed:g}: lower the rate",
-    "mean_ma": "electrode {electrode}: {value:g} µC within one pass or one second are above the "
-    "limit of {allowed:g} µC: lower the rate",
+    "pulses_hz": "electrode {electrode}: {value:g} perceptible pulses are above the limit of "
+    "{allowed:g} for this time (one pass or one second): lower the rate",
+    "mean_ma": "electrode {electrode}: {value:g} µC are above the limit of {allowed:g} µC for "
+    "this time (one pass or one second): lower the rate",
     "net_ma": "electrode {electrode}: the net charge in a second would be {value:g} µC, above the "
     "limit of {allowed:g} µC: lower the rate, or add recharge phases",
     "order": "the sequence has time {value} ns, which is not after the previous sequence: the time "
@@ -350,7 +350,7 @@ _LIMITS = {
     "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
     "order": "time_ns",
 }  # fmt: skip
-"""Name of the limit (`SafetyError.limit`) for keys of `_SENTENCES` that differ from it."""
+"""Name of the limit (`SafetyError.limit`), where the key of `_SENTENCES` is another word."""
 
 
 def refusal(
@@ -360,7 +360,7 @@ def refusal(
     slot: int | None = None,
     electrode: int | None = None,
 ) -> SafetyError:
-    """Return the error for an exceeded limit, with the message of key ``sentence``."""
+    """Return the error for an exceeded limit. ``sentence`` is the message's key in `_SENTENCES`."""
     words = _SENTENCES[sentence].format(
         value=value, allowed=allowed, slot=slot, electrode=electrode
     )

@@ -89,7 +89,7 @@ class KernelTable:
 
     @cached_property
     def so_far_ua(self) -> NDArray[np.float64]:
-        """Sums of each kernel's currents up to each electrode, (K, E) µA, at amplitude 1."""
+        """Running sums of each kernel's currents over electrodes, (K, E) µA, at amplitude 1."""
         # Scaling by a power of two is exact.
         return np.cumsum(self.weights, axis=1, dtype=np.float64) * 2.0**-SHIFT
 
@@ -117,7 +117,7 @@ class KernelLists:
         first = np.frombuffer(self.first.tobytes(), self.first.dtype)
         kernel = np.frombuffer(self.kernel.tobytes(), self.kernel.dtype)
         amplitude = np.frombuffer(self.amplitude.tobytes(), self.amplitude.dtype)
-        # Double precision is exact: sums are multiples of 2^-17, far below 2^36.
+        # Double precision is exact: sums are multiples of 2^-17 and below 2^36, so 53 bits suffice.
         scaled = self.table.so_far_ua.take(kernel, axis=0)
         scaled *= amplitude.astype(np.float64)[:, None]
         if len(scaled) > len(first) - 1:
@@ -151,8 +151,9 @@ def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
     peak = np.abs(kernels).max(axis=1, keepdims=True, initial=0)
     carried = np.cumsum(kernels * (PEAK / np.where(peak > 0, peak, 1)), axis=1)
     carried[:, -1:] = 0
-    # Round halves upward: rounding to even would give the kernel (-0.5, 1, -0.5) a peak of 32,768,
-    # which int16 cannot hold. Rounding to six decimals removes errors of double precision.
+    # Round halves upward. Rounding to even would turn the cumulative sums ±16,383.5 of the kernel
+    # (-0.5, 1, -0.5) into ±16,384. Its peak would be 32,768, which int16 cannot hold. Rounding to
+    # six decimals comes first: it removes errors of double precision.
     rounded = np.floor(carried.round(6) + 0.5)
     return np.diff(rounded, axis=1, prepend=0).astype(np.int16)
 

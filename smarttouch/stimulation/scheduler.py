@@ -41,9 +41,9 @@ from smarttouch.stimulation.sequence_limits import (
 from smarttouch.stimulation.slots import FrameSlots, PointSlots, Slots, constant_us, joined
 
 WINDOW_US = 1_100_000
-"""Plans limit the net charge in a window of this length, µs. The limit is for 1 s, but a board that
-counts in tenths of a second can include up to 1.1 s."""
-GUARD_PC = 0.95 * NET_PC  # largest planned net charge of the latest passes, however many
+"""Length, µs, of the window in which the scheduler limits net charge. The limit is for 1 s, but a
+board that counts time in tenths of a second can include the charge of up to 1.1 s."""
+GUARD_PC = 0.95 * NET_PC  # largest planned net charge of the last n passes, for every n
 _MEAN_PC = PLANNED * NET_PC
 _FREE_PC = NET_PC / 2
 _MOST_PC = 0.99 * NET_PC
@@ -85,9 +85,9 @@ def rate_share(pressure: float, softness: float) -> float:
 def rates_of(
     profile: Profile, afferents: tuple[Afferent, ...], rate_hz: float | None, timing: ScanTiming
 ) -> dict[Afferent, float]:
-    """Return the pulse rate of each class, Hz. A single class has `rate_hz` or the profile's rate.
-    RA and SAI together have the profile's two rates. In mode color, the stimuli set the times of
-    pulses, and the result is empty."""
+    """Return the pulse rate of each class, Hz. A single class gets `rate_hz` or, by default, the
+    profile's rate. If RA and SAI are stimulated together, each gets its own rate from the profile.
+    In mode color, the stimuli set the times of pulses, and the result is empty."""
     pulse, limits = profile.pulse, profile.limits
     rates_hz = {afferents[0]: pulse.rate_hz if rate_hz is None else rate_hz}
     if Afferent.PC in afferents and len(afferents) > 1:
@@ -175,25 +175,23 @@ class NetPlan:
     """Planner of periods that keep the net charge of any second below its limit.
 
     If the requested rate would exceed the limit, periods become longer once half of the limit is
-    used. All passes then slow down evenly. After a change of the image, a pass can wait until
-    earlier passes are older than `WINDOW_US`.
+    used, so that all passes slow down evenly. After a change of the image, a pass may have to wait
+    until earlier passes are older than `WINDOW_US`.
     """
 
     def __init__(self, electrodes: int) -> None:
         self._passes: deque[_Pass] = deque()
         self._sum_pc = np.zeros(electrodes)
-        # Upper bounds of net charge: `_at_most_pc` for the passes of the last `WINDOW_US`,
-        # `_newest_at_most_pc` for the latest passes, however many are counted.
+        # Upper bounds of net charge: `_at_most_pc` is for all passes of the last `WINDOW_US`;
+        # `_newest_at_most_pc` is for the last n passes, for every n.
         self._at_most_pc = self._newest_at_most_pc = 0.0
 
     def next_period_us(
         self, net_pc: Array, time_us: float, period_us: int, busy_us: int
     ) -> float | None:
         """Plan a pass that begins at `time_us`. Return its shortest period, at least `period_us`.
-
         The slots of the pass take `busy_us` and have the net charge `net_pc`, (E,). If the net
-        charge of a second would exceed its limit, plan nothing and return None.
-        """
+        charge within one second would exceed the limit, plan nothing and return None."""
         passes = self._passes
         while passes and passes[0].end_us <= time_us - WINDOW_US:
             _, gone_pc, gone_net_pc = passes.popleft()
@@ -220,7 +218,7 @@ class NetPlan:
                 # Count one more pass, because the window can also include parts of passes.
                 needed_us = max(needed_us, WINDOW_US / 1.1 * mean_pc / (_MEAN_PC - mean_pc))
             if carried_pc + mean_pc < GUARD_PC:
-                # Distribute the charge that is left evenly until the oldest pass leaves the window.
+                # Until the oldest pass leaves the window, spread the remaining charge evenly.
                 left_us = WINDOW_US - span_us
                 needed_us = max(needed_us, left_us * mean_pc / (GUARD_PC - carried_pc))
         if self._newest_at_most_pc + most_pc > GUARD_PC:
@@ -326,10 +324,10 @@ class ScanScheduler:
 
         The requested period is extended if the slots do not fit. Zero intensity gives no slots.
         Intensity is lowered until strength (`strength_ppb`) is at most ``allowed``, in [0, 1]. If
-        all currents then round to zero, larger strengths are tried. The largest is the strength
-        that the ramp reaches from zero in `MOST_STEP_NS`. The SAI rate follows pressure. If the
-        image has a period, each active class pulses once per period. Raises ScheduleError if the
-        limits do not allow the sequence, or if a class cannot be stimulated.
+        all currents then round to zero, larger strengths are tried, up to the strength that the
+        ramp reaches from zero in `MOST_STEP_NS`. The SAI rate follows pressure. If the image has a
+        period, each active class pulses once per period. Raises ScheduleError if the limits do not
+        allow the sequence, or if a class cannot be stimulated.
         """
         if image.period_us is None:
             due, self.asked_us = self._rates.due(image.time_ns, pressure)
@@ -407,7 +405,7 @@ class ScanScheduler:
         return slots, intensity
 
     def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Afferent, ...]:
-        """Return the active classes of an image that has `period_us`."""
+        """Return the classes that are active in an image whose period is ``period_us``."""
         if period_us < self._least_us:
             raise ScheduleError(
                 f"pulses {period_us} µs apart are not possible: the profile's limit of "

@@ -32,8 +32,8 @@ MOST_RECHARGE_PC = 2_000_000  # largest recharge of an electrode: 4 pulses of 0.
 BURST_US = round(1e6 * BURST_S)
 PER_PULSE = 1_000_000
 PER_PC = round(1000 * CEILING_PULSES_HZ / (1e6 * CEILING_MEAN_MA))
-"""Factors of the number of perceptible pulses (`PER_PULSE`) and of charge in pC (`PER_PC`). Both
-products have the same limit, `MOST_PER_US` per microsecond."""
+"""The number of perceptible pulses is multiplied by `PER_PULSE`, and charge in pC by `PER_PC`. Both
+products then have the same limit: `MOST_PER_US` per microsecond."""
 MOST_PER_US = round(CEILING_PULSES_HZ)
 NET_PC = round(1e9 * CEILING_NET_MA)  # largest net charge of an electrode in a second
 PLANNED = 0.9  # share of a limit that schedulers use; the rest is a margin for jitter
@@ -78,7 +78,7 @@ class PassLoad(NamedTuple):
     sums: Sums  # including the recharge phase
     recharge_pc: NDArray[np.float64] | None  # (E,) charge of the recharge phase, cathodic > 0
     busy_us: int  # duration of slots and recharge phase
-    strength_ppb: int  # see `strength_ppb`; 0 without current
+    strength_ppb: int  # result of the function `strength_ppb`; 0 if no current flows
     peak_ua: int  # strongest current
 
 
@@ -159,7 +159,7 @@ def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, i
 
 
 def _prove_vibration(vibration: NDArray[np.float32], intensity: float, electrodes: int) -> None:
-    """Raise SafetyError unless each electrode has a value between 0 and the intensity."""
+    """Raise SafetyError unless the vibration of each site is between 0 and the intensity."""
     if vibration.shape != (electrodes,):
         raise refusal("vibration", len(vibration), electrodes)
     # Convert to double precision, the type of the intensity. NaN fails the comparison.
@@ -244,9 +244,9 @@ class _Sent(NamedTuple):
     flows: bool
 
     def cut_short(self, now_ns: int) -> tuple[int, list[_Pass], int]:
-        """Return when a new sequence begins that is sent at ``now_ns``, the recent passes of the
-        old sequence without its first pass, and how many passes of the old sequence are dropped."""
-        # The board delivers the first pass even if this pass has not begun at `now_ns`.
+        """Return three values for a new sequence sent at ``now_ns``: its start, the old sequence's
+        recent passes except the first, and the number of the old sequence's dropped passes."""
+        # The board delivers the first pass in any case, even if it begins after `now_ns`.
         first, period_ns = self.first, self.period_ns
         begun = max(1, min(self.times, (now_ns - first.start_ns) // period_ns + 1))
         delays_ns = [
@@ -281,7 +281,7 @@ class Exposure:
 
     @property
     def dose(self) -> Dose:
-        """Dose of the session. It includes repetitions of the last sequence that are to come."""
+        """Dose of the session. It counts all passes of the last sequence, even future passes."""
         charge_mc = self._session[1] / (PER_PC * 1e9)
         net_uc = self._session[2] / 1e6
         return Dose(self._session_ns / 1e9, tuple(charge_mc.tolist()), tuple(net_uc.tolist()))
@@ -306,17 +306,15 @@ class Exposure:
         """Forget the last second's passes, because times restart at 0. Keep the session's dose."""
         self._last = None
         self._window.clear()
-        # `_second_at_most` is an upper bound of the sums of the last second. `_net_at_most` bounds
-        # the net charge (× `PER_PC`) of the latest passes, however many are counted. Exact sums are
-        # computed only if a bound exceeds its limit.
+        # `_second_at_most` is an upper bound of the sums of the last second. `_net_at_most` is an
+        # upper bound of the net charge (× `PER_PC`) of the last n passes, for every n. Exact sums
+        # are computed only if one of these bounds exceeds its limit.
         self._second_at_most = self._net_at_most = 0.0
 
     def net_rest_ns(self, now_ns: int) -> int:
-        """Return the time, ns, until earlier passes use at most half of the net charge limit.
-
-        A new session plans without the pulses of the old session. If those pulses used more than
-        half of the limit, the gate could reject the planned sequences.
-        """
+        """Return how long, ns, earlier passes still use more than half of the net charge limit. The
+        plan of a new session does not include the pulses of the old session. If those pulses used
+        more than half of the limit, the gate could reject planned sequences."""
         recent = [scan for scan in reversed(self._window) if scan.end_ns > now_ns - WINDOW_NS]
         if not recent or self._second_at_most <= PER_PC * NET_PC / 2:
             return 0
@@ -328,8 +326,8 @@ class Exposure:
         """Check the dose limits with a new sequence, and add its passes to the sums.
 
         The new sequence ends the repetitions of the previous sequence. ``flows`` is True if the new
-        sequence has slots. Only then, its duration counts toward the limit of the session.
-        ``now_ns`` must not go back. Raises SafetyError with the limit and the electrode.
+        sequence has slots. Without slots, its duration does not count toward the limit of the
+        session. ``now_ns`` must not go back. Raises SafetyError with the limit and the electrode.
         """
         sums, period_ns, last, window = load.sums, 1000 * period_us, self._last, self._window
         burst_us, largest = min(period_us, BURST_US), float(np.maximum.reduce(sums[:2], axis=None))
@@ -382,8 +380,8 @@ class Exposure:
         """Raise SafetyError if any second would exceed a limit.
 
         Count the passes in `_window`, the ``repeated`` passes of the previous sequence, and
-        ``checked`` passes of the new sequence. Return the largest |net charge| × `PER_PC` to which
-        the last passes before the new sequence add up, however many are counted.
+        ``checked`` passes of the new sequence. Add up the net charge of the last n passes before
+        the new sequence, for every n. Return the largest magnitude of these sums, × `PER_PC`.
         """
         recent = [scan for scan in (*self._window, *repeated) if scan.end_ns > now_ns - WINDOW_NS]
         passes = sum(scan.start_ns > now_ns - WINDOW_NS for scan in recent) + 1

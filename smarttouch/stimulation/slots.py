@@ -44,13 +44,13 @@ class Slots(NamedTuple):
 
 
 _PROOF_SPACING_MM = 0.5
-"""Smallest node spacing of the skin model for the proofs of independent sites. At 0.1 mm the proofs
-take 25 times longer and have the same results for the shipped arrays."""
+"""The proofs that sites are independent use a skin model with at least this node spacing. At 0.1 mm
+instead, the proofs take 25 times as long, with the same results for the shipped arrays."""
 
 _NONE = np.empty(0, np.intp)
 _ROUNDING = 0.99
-"""Proofs use this share of each selectivity bound. The rest is a margin for rounding. It suffices
-at intensities of `FrameSlots.certain_from` or more."""
+"""Proofs use this share of each selectivity bound. The rest is a margin for rounding. This margin
+is large enough at intensities of `FrameSlots.certain_from` or more."""
 
 
 class FrameSlots:
@@ -158,8 +158,8 @@ class FrameSlots:
         do = np.empty((2, count), np.float32)
         owner = self._owner.take(kernel.take(first[:shared]))
         do[:, :shared] = self._figures(intensity).take(owner, axis=1)
-        # A report is relative to a target at level 1, but a single point has a level of its own:
-        # multiply the values of the point by this level.
+        # A report is relative to a target at level 1. The target of a slot with one point can have
+        # a lower level, so multiply its values by this level.
         np.multiply(self._points_do.take(alone, axis=1), alone_level, out=do[:, shared:])
         site = self._kernel_sites.take(kernel.take(first[:-1])).astype(np.uint16)
         proof = SelectivityReport(np.array(points, np.uint16), *do)
@@ -227,7 +227,7 @@ class PointSlots:
             raise ScheduleError(
                 f"the kernel of electrode {site} has a total current of {total_ma[site]:.2f} mA at "
                 f"full strength, above the limit of {profile.total_ma:g} mA for a slot: lower "
-                "perception.comfort_ratio, or lower limits.total_ma and design new kernels",
+                "perception.comfort_ratio, or set a lower limits.total_ma that new kernels keep",
                 electrode=site,
             )
         self._strongest = np.abs(weights).argmax(axis=1)
@@ -247,7 +247,7 @@ class PointSlots:
             self._full = np.asarray(PER_UA * magnitude.max(axis=1), np.float32)
         self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
         self._range = 1 - self._faintest
-        # Sites below this level get no slot. With one source, no current may round to zero.
+        # Sites below this level get no slot. With one source, some currents would round to zero.
         self._weakest_level = np.zeros(count, np.float32)
         if profile.output.kind != "weighted":
             least_ua = np.where(magnitude > 0, magnitude, np.inf).min(axis=1)
@@ -267,7 +267,7 @@ class PointSlots:
         electrodes have no slot.
         """
         if self._perceived_at is not None:
-            # The added zero is the activation of points that are perceived outside of the array.
+            # Append a zero: the activation of points that are perceived outside of the array.
             activation = np.append(activation, np.float32(0))[self._perceived_at]
         site = activation.nonzero()[0] if intensity > 0 else np.empty(0, np.intp)
         if not self._in_index_order:
