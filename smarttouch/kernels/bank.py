@@ -51,7 +51,7 @@ class KernelBank:
     weights: Column  # (E, E) mA per V/mm²: row s is the kernel of site s, sum 0; zeros if masked
     off_target: Column  # (E,) largest activation of another class, relative to the target
     worst_class: Column  # (E,) int8, the other class that is activated most
-    # (E,) largest activation of the class beyond a pitch from the target, relative to the target
+    # (E,) largest activation of the same class at nodes over a pitch away, relative to the target
     spill: Column
     gap: Column  # (E,) largest possible relative distance from the optimum; 0 if proven optimal
     seconds: Column  # (E,) float32, design time
@@ -92,8 +92,8 @@ class KernelBank:
         width_us: NDArray[np.float32],
         current_ua: NDArray[np.int16],
     ) -> dict[int, NDArray[np.float32]]:
-        """Return the response of the receptor under each electrode, (E,), to each sequence. Keys
-        are sequence numbers.
+        """Return a dictionary: for each sequence number, the responses of the receptors under the
+        electrodes, (E,).
 
         A response is 0 at the detection threshold and 1 at the strongest comfortable pulse. The
         response to a sequence is the largest over its slots and classes. ``numbers``, (N,), has the
@@ -342,11 +342,9 @@ def _read(path: Path, profile: Profile) -> KernelBank | None:
 
 
 def single_bank(profile: Profile) -> KernelBank:
-    """Return a bank in which each kernel is one electrode against all others.
-
-    All kernels are stored as `Afferent.RA`, whatever classes they stimulate. The single electrode
-    is anodic if the board allows it; all others share the return current equally.
-    """
+    """Return a bank in which each kernel is one electrode against all others. All kernels are
+    stored as `Afferent.RA`, whatever classes they stimulate. The single electrode is anodic if the
+    board allows it; all others share the return current equally."""
     count = len(profile.electrodes)
     driven = profile.driven
     weights = np.zeros((count, count))

@@ -171,11 +171,9 @@ _CLEAR = 1 - 1e-6
 def design_unless_known(
     design: Design, before: Profile, known_kernel: Callable[[Afferent, int, KernelKind], Kernel]
 ) -> Design:
-    """Return a design function that reuses the kernels of another profile if they stay optimal.
-
-    Kernels that drive masked electrodes are not reused. Other kernels stay optimal if the limits
-    are unchanged, or if they keep both the old and the new limits with a margin.
-    """
+    """Return a design function that reuses the kernels of another profile if they stay optimal. A
+    kernel that drives a masked electrode is not reused. Any other kernel stays optimal if the
+    limits are unchanged, or if the kernel keeps both the old and the new limits with a margin."""
 
     def keep_or_design(problem: Problem, site: int) -> Kernel:
         known = known_kernel(problem.afferent, site, "weighted")
@@ -216,7 +214,7 @@ _DECIMALS = 6
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """Small array of a site and its neighbors, for all sites whose neighbors are arranged alike."""
+    """Small array of a site and its neighbors. Sites with equal or mirrored neighbors share it."""
 
     profile: Profile  # profile with the electrodes of the tile; number 0 is the site of the kernel
     # indices of the tile's electrodes in the complete array, (N,), for each site

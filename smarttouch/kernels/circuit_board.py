@@ -30,9 +30,9 @@ _Pad = tuple[int, int | None, float, float, Shape, tuple[float, float]]
 def write_kicad(profile: Profile, folder: Path) -> Path:
     """Write a board file of KiCad 9 with electrodes and contacts; return its path.
 
-    Contact ``k + 1`` belongs to output k of the driver board. Its net is that of the electrode that
-    ``output.wiring`` connects to this output. Nets are named after electrodes. Raises ProfileError
-    if the file exists, if it cannot be written, or if an electrode is a point.
+    Contact ``k + 1`` belongs to output k of the driver board. The contact is on the net of the
+    electrode that ``output.wiring`` connects to this output. Nets are named after electrodes.
+    Raises ProfileError if the file exists, if it cannot be written, or if an electrode is a point.
     """
     path = folder / f"{profile.name}.kicad_pcb"
     if path.exists():
@@ -78,10 +78,10 @@ def drawing(profile: Profile) -> bytes:
 
 
 def _electrodes(profile: Profile) -> tuple[list[_Pad], tuple[float, float]]:
-    """Return the electrodes as pads, and half the width and height, mm, of a board for them."""
+    """Return the electrodes as pads, and half the width and half the height of their board, mm."""
     array, places = profile.electrodes, profile.electrodes.position_mm
     if any(shape == "point" for shape, _ in array.kinds):
-        raise ProfileError("points have no copper: set another shape and a size", key="array.shape")
+        raise ProfileError("point electrodes have no copper: set shape and size", key="array.shape")
     kind_of = {site: kind for kind, sites in array.kinds.items() for site in sites.tolist()}
     reach_mm = max(max(size) for _, size in array.kinds) / 2 + EDGE_MM
     right, down = (np.abs(places).max(axis=0) + reach_mm).tolist()

@@ -1,5 +1,5 @@
-"""Design problem of a kernel: AF rows of the target and of all other nodes, and symmetries. A row
-holds the AF at one node for 1 mA through each electrode."""
+"""Design problem of a kernel: rows for the target and for all other nodes, and symmetries. A row
+holds the activating function (AF) at one node: a value for each electrode, for 1 mA through it."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -56,9 +56,10 @@ def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
 
 
 def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[np.int_]]:
-    """Return symmetries of a square, (2, 2) matrices, beginning with the identity. They preserve
-    electrode shapes, and map the set of axon directions of each class to itself. For the classes in
-    ``targets_of``, they also preserve the first direction, that of the target's own axon."""
+    """Return the symmetries of a square, (2, 2) matrices with the identity first, that preserve
+    electrode shapes and the set of axon directions of each class. For the classes in
+    ``targets_of``, they also preserve the first direction, which is the direction of the target's
+    own axon."""
     skin = profile.skin
     kinds = profile.electrodes.kinds
     upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in kinds)
@@ -119,7 +120,8 @@ class Kernel:
     weights: Array  # (E,) mA for an AF of 1 V/mm² at the target, positive cathodic
     off_target: float  # largest activation of another class, relative to the target
     off_target_class: Afferent  # the other class that is activated most
-    spill: float  # largest activation of the class more than a pitch away, relative to the target
+    # largest activation of the same class at nodes over a pitch away, relative to the target
+    spill: float
     node: int = 0  # index of the target node on its axon; 0 is under the electrode
     kind: KernelKind = "weighted"
     gap: float = 0.0  # largest possible relative distance from the optimum; 0 if proven optimal
@@ -235,8 +237,8 @@ class Problem:
             raise masked_site(site)
 
     def beyond_a_pitch(self, site: int, node: int = 0) -> NDArray[np.bool_]:
-        """Return, (M,), whether the node of each row of `own` is more than a pitch away from the
-        target. ``node`` is the number of the target on the site's axon."""
+        """Return for each row of `own` whether its node is more than a pitch from the target, (M,).
+        The target is the node with index ``node`` on the site's axon."""
         electrodes = self.profile.electrodes
         target_mm = self.axon_mm(site)[node, :2] if node else electrodes.position_mm[site]
         away = np.linalg.norm(self._own_position_mm - target_mm, axis=1)
@@ -291,7 +293,7 @@ class Problem:
         if own_af <= 0:
             raise DesignError(
                 f"the pattern for {self.describe(site)} does not activate its target: change the "
-                "array, or the depths of its profile",
+                "array, or the afferent depths in its profile",
                 electrode=site,
             )
         others = self.other @ weights

@@ -45,10 +45,8 @@ def find_kernels(
     any_node: bool,
     progress: Advance | None,
 ) -> list[SiteKernel]:
-    """Return kernels at one site or at all sites, from a bank or designed now.
-
-    The target is the node under the electrode or, with ``any_node``, the best node of its axon.
-    """
+    """Return kernels at one site or at all sites, from a bank or designed now. The target is the
+    node under the electrode or, with ``any_node``, the best node of its axon."""
     sites = profile.driven.tolist() if site is None else [site]
     if not any_node:
         # For a single site do not design a complete bank.
@@ -157,7 +155,7 @@ def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list
     for y in sorted({round(float(y_mm), 6) for y_mm in position[:, 1]}):
         line = [index for index in range(len(position)) if abs(position[index, 1] - y) < 1e-5]
         lines.append(sorted(line, key=lambda index: position[index, 0]))
-    certain = f"at most {kernel.gap:.1%} from the optimum" if kernel.gap else "proven optimal"
+    certain = f"at most {kernel.gap:.1%} worse than the optimum" if kernel.gap else "proven optimal"
     table = WordTable(
         f"{of.afferent.name} kernel ({kernel.kind}) at site {of.site} of {profile.name}; "
         "positive currents are cathodic",

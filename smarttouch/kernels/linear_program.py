@@ -32,7 +32,7 @@ _OPTIONS: Options = {
     "simplex_dual_edge_weight_strategy": 1,
 }
 
-_PATIENCE = 10  # × (rows + columns): iterations after which a hot start counts as cycling
+_PATIENCE = 10  # a hot start counts as cycling after _PATIENCE × (rows + columns) iterations
 _RESCUES: tuple[Options, ...] = (
     {"simplex_dual_edge_weight_strategy": -1},
     {"solver": "ipm", "presolve": "on"},
@@ -56,8 +56,8 @@ class ProgramRows:
     """Rows of a program, (N, O). A row is the product of an AF row, (E,), and the orbits of a site,
     (E, O). To save memory, only the factors are stored: all sites share the AF rows.
 
-    Each part is an array of AF rows, their divisor, and the indices of the rows to use (None for
-    all). Rows with indices ``coarse``, (K,), are checked first.
+    Each of ``parts`` has three items: an array of AF rows, their divisor, and the indices of the
+    rows to use (None for all). Rows with indices ``coarse``, (K,), are checked first.
     """
 
     def __init__(
@@ -106,17 +106,18 @@ class LinearProgram:
 
     An orbit is a set of electrodes with equal currents. w, (O,), is the current of one electrode of
     each orbit. ``size``, (O,), is the number of its electrodes. If several patterns are optimal,
-    each cost, (O,), of ``ties`` in turn selects those with the smallest Σ cost·|w|. ``worst``
-    selects the rows to add by their excess, (N,); by default, all violated rows. If a solved
-    program ``after`` is given, this program starts with the rows of ``after``, and t is at least 0.
+    the costs in ``ties``, (O,) each, decide in turn: each keeps those with the smallest Σ cost·|w|.
+    ``worst`` receives the excess of each row, (N,), and returns the rows to add; by default, all
+    violated rows are added. If a solved program ``after`` is given, this program starts with its
+    rows, and t is at least 0.
     """
 
     def __init__(
         self,
         rows: ProgramRows,  # (N, O)
-        slope: Array,  # (N,) 1 if t limits the row, else 0
-        bound: Array,  # (N,) upper bound of rows·w; 0 if t limits the row instead
-        aims: Array,  # (S, O) aims·w is at least 1; if S is 1, it is exactly 1
+        slope: Array,  # (N,) 1 if the upper bound of rows·w is t, else 0
+        bound: Array,  # (N,) upper bound of rows·w; 0 if the upper bound is t
+        aims: Array,  # (S, O) aims·w is at least 1 for each row, and exactly 1 for a single row
         size: Array,
         ties: Sequence[Array],
         worst: Chooser | None = None,
@@ -148,7 +149,7 @@ class LinearProgram:
         self._use(first if after is None else np.flatnonzero(after._used))
 
     def most_selective(self) -> float:
-        """Solve the program. Return the smallest t; infinite if no pattern is feasible."""
+        """Minimize the objective t, and return it; infinite if no pattern is feasible."""
         answer = self._solve()
         return np.inf if answer is None else float(answer[self._count])
 
@@ -165,9 +166,10 @@ class LinearProgram:
         return int((np.abs(prices) > _PRICE).sum()) >= self._columns
 
     def limit(self, reference: Array, factors: Array, total: float | None) -> None:
-        """Limit magnitudes of currents to multiples of one current, reference·w. ``reference``,
-        (O,), usually selects one electrode. ``factors``, (O,), are the multiples for each current,
-        and ``total`` is that for the sum over all electrodes. Infinity and None set no limit."""
+        """Limit magnitudes of currents to multiples of a reference current, reference·w.
+        ``reference``, (O,), usually selects one electrode. ``factors``, (O,), has the multiple for
+        each current. ``total`` is the multiple for the sum of the magnitudes over all electrodes.
+        An infinite factor, or a ``total`` of None, sets no limit."""
         bounded = np.flatnonzero(np.isfinite(factors))
         eye = np.eye(self._count)[bounded]
         push = factors[bounded, None] * reference
@@ -188,7 +190,7 @@ class LinearProgram:
             self._add_magnitudes()
             self._cost(np.r_[np.zeros(self._count + 1), prices])
             if self._solve() is None:
-                message = "the solver did not find its optimum again: raise the limits a little"
+                message = "the solver cannot reproduce its optimum: raise the limits a little"
                 raise DesignError(message)
         return self.pattern
 
@@ -255,7 +257,8 @@ class LinearProgram:
         return abs(value - bound) <= 1e-6 * max(1.0, abs(value))
 
     def _violated(self, weights: Array, worst: float) -> NDArray[np.intp]:
-        """Return violated rows to add: from the coarse rows, else from `_near`, else from all."""
+        """Return violated rows to add. Search the coarse rows, then `_near`, then all rows; stop as
+        soon as a search finds violated rows."""
         for some, values in (
             (self._rows.coarse, self._rows.coarse_rows),
             (self._near, self._near_rows),
@@ -276,7 +279,7 @@ class LinearProgram:
         return self._worst_of(chosen, excess)
 
     def _store_near(self, excess: Array) -> None:
-        """Store the rows that are violated or nearly violated, to check them before all rows."""
+        """Store violated and nearly violated rows. Later rounds check them before the others."""
         near = np.flatnonzero(excess > -_NEAR)
         if len(near) > _MOST_NEAR:
             near = near[np.argpartition(excess[near], -_MOST_NEAR)[-_MOST_NEAR:]]

@@ -5,9 +5,10 @@ of A are the AF at all nodes of other classes. The paper's program (Eq. 10 to 18
 
     minimize t   such that   A w ≤ t,   a·w = 1,   Σw = 0
 
-The AF at all other nodes of the target's axon is at most 1 (Eq. 11). Spill is at most `SPILL`. The
-paper has no such bound, but on a grid, neighbors of the same class would then nearly fire. Of the
-patterns with t within `GIVEN_UP` of the minimum, the design takes the one with the least spill.
+The AF at all other nodes of the target's axon is at most 1 (Eq. 11). Spill, the activation of the
+same class elsewhere, is at most `SPILL`. The paper has no such bound. Without it, neighbors of the
+same class would nearly fire on a grid. The design takes the pattern with the least spill among
+those whose t exceeds the minimum by at most the fraction `GIVEN_UP`.
 """
 
 import numpy as np
@@ -20,10 +21,10 @@ from smarttouch.kernels.linear_program import Chooser, LinearProgram, Options, P
 
 SPILL = 0.2  # largest allowed `Kernel.spill`
 GIVEN_UP = 0.03
-"""Largest allowed increase of the off-target activation, as a share of it, to reduce spill."""
+"""To reduce spill, off-target activation may exceed its minimum by this fraction of the minimum."""
 _WORTHWHILE = 1e-6
 _SEARCHED_MM = 0.5  # spacing of the nodes that `design_any_node` tries as target
-_LOOSE_ROWS = 40  # largest number of rows added per round for the spill bound and Eq. 11
+_LOOSE_ROWS = 40  # largest number of rows added per round for the spill bound and Eq. 11 together
 
 
 def design_kernel(
@@ -39,21 +40,22 @@ def design_kernel(
     Raises DesignError if no kernel keeps the limits. To reduce spill, off-target may exceed its
     minimum by the fraction `given_up`. If `given_up` is 0, spill is not minimized.
 
-    If several kernels are optimal, symmetry decides, then total current, then distance from the
-    site and from the array's middle. So the result does not depend on the solver.
+    Of several optimal kernels, a symmetric one is taken, then the one with the least total current,
+    then the one with currents nearest to the site, then nearest to the array's middle. So the
+    result does not depend on the solver.
 
     `spill` is the largest allowed spill; None sets no bound, as in the paper. If the pitch is
     smaller than the depth of afferents, it may be that no kernel keeps the bound. Then the larger
-    of off-target and spill is minimized first. No current is more than a thousand times the one
-    that the best single electrode needs. `node` is the index of the target on its axon; node 0 is
-    under the electrode.
+    of off-target and spill is minimized first. No current exceeds a thousand times the current that
+    the best single electrode needs. `node` is the index of the target on its axon; node 0 is under
+    the electrode.
     """
     problem.check_site(site)
     rows = _ProgramBuilder(problem, site, spill, node)
     if spill is None:
         ways = [False]
     else:
-        # PC kernels rarely keep the spill bound: first minimize the larger of off-target and spill.
+        # PC kernels rarely keep the spill bound, so try the program without this bound first.
         ways = [True, False] if problem.afferent is Afferent.PC else [False, True]
     program = rows.program(ways[0], options)
     best = program.most_selective()
@@ -65,7 +67,7 @@ def design_kernel(
     if best == np.inf:
         raise DesignError(
             f"no kernel for {problem.describe(site)}: the target cannot be activated; change the "
-            "array, or the depths of its profile",
+            "array, or the afferent depths in its profile",
             electrode=site,
         )
     if rows.break_limits(program) and rows.limit(program):
@@ -181,7 +183,7 @@ class _ProgramBuilder:
         return True
 
     def break_limits(self, program: LinearProgram) -> bool:
-        """Return True if the optimum of a program exceeds the limits, or may not be unique."""
+        """Return True if a program's optimum exceeds the limits, or if other optima may exist."""
         pattern, (reference, factors, total) = program.pattern, self._limits()
         current, magnitude = float(reference @ pattern), np.abs(pattern)
         in_all = float(self.orbits.sum(axis=0) @ magnitude)
@@ -199,7 +201,7 @@ class _ProgramBuilder:
         site, full = self._site, self._problem.full_ma(self._site)
         reference = np.sign(self._problem.target[site, site]) * self.orbits[site]
         factors = np.where(self.orbits > 0, electrode[:, None], np.inf).min(axis=0) / full
-        # Do not limit the site's electrode: a valid profile allows its comfort level.
+        # Do not limit the site's electrode: in a valid profile, its comfort level keeps the limits.
         factors[self.orbits[site].argmax()] = np.inf
         # `total` limits the cathodic current, which is half of the sum of magnitudes.
         return reference, factors, 2 * total / full

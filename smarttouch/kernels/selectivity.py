@@ -33,9 +33,9 @@ class FrameFigures:
 class FrameBounds:
     """Largest allowed side effects of a slot.
 
-    Raises DesignError for impossible values. The default of `other`, 0.30, is the off-target that
-    the paper's linear program reaches for one SAI point on its line array. To save current, all
-    targets of a slot can be weaker than requested by up to `uneven`.
+    Raises DesignError for impossible values. The default of `other`, 0.30, is the off-target
+    activation of the paper's linear program for one SAI point on the paper's line array. To save
+    current, each target of a slot can be weaker than requested, by a share of up to `uneven`.
     """
 
     other: float = 0.30  # largest allowed `FrameFigures.off_target`
@@ -47,7 +47,7 @@ class FrameBounds:
             upper_bound = 1 if name == "uneven" else np.inf
             if not 0 < value < upper_bound:
                 raise DesignError(
-                    f"the bound {name} is {value}: give a number above 0 (uneven must be below 1)"
+                    f"the bound {name} is {value}: give a number above 0 (below 1 for 'uneven')"
                 )
 
 
@@ -99,7 +99,7 @@ class FrameJudge:
 
     @cached_property
     def uneven_af(self) -> tuple[float, float]:
-        """Largest Σ|g_j − g_j+1| over all rows g of `others`, and over all rows g of `own`."""
+        """Largest Σ|g_j − g_(j+1)| of any row g: one value for `others`, and one for `own`."""
         rows_of = self.others, self.own
         other, own_af = (float(np.abs(np.diff(rows)).sum(axis=1).max()) for rows in rows_of)
         return other, own_af
@@ -117,10 +117,8 @@ class FrameJudge:
 
     def judge(self, current: Array, level: Array) -> list[FrameFigures]:
         """Return the selectivity of slots with these currents, (S, E) mA, and levels, (S, E).
-
         `off_target` and `spill` are infinite if a target is not activated. Raises DesignError for a
-        slot without an active site.
-        """
+        slot without an active site."""
         if not len(current):
             return []
         if not level.any(axis=1).all():
@@ -212,7 +210,8 @@ class SharedKernels:
     @cached_property
     def excited(self) -> tuple[Array, Array]:
         """Activation by each kernel, V/mm², at nodes of other classes, (A, N), and of the same
-        class, (A, M). Negative values, and the same class within a pitch of the site, are 0."""
+        class, (A, M). Negative values are set to 0, and so are values at nodes of the same class
+        within a pitch of the site."""
         judge = self.operator.judge
         others, own_af = self.kernels @ judge.others.T, np.maximum(self.kernels @ judge.own.T, 0)
         for row, site in zip(own_af, self.sites, strict=True):
@@ -278,8 +277,8 @@ class Certainty:
     - This running sum is rounded to 1 µA, which adds an error of up to 1/2 µA.
 
     h is the sum of the last two errors. The running sum is exactly 0 at the last electrode. By
-    summation by parts, the AF at a node with row g is then off by at most V(g) = h Σ|g_j − g_j+1|.
-    At a node of another class, the AF is at most Σ_k (c_k + e_k) max(g·K_k, 0) + V(g). At target i
+    summation by parts, the AF at a node with row g is off by at most V(g) = h Σ|g_j − g_(j+1)|. At
+    a node of another class, the AF is at most Σ_k (c_k + e_k) max(g·K_k, 0) + V(g). At target i
     with row t, it is at least φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] − V(t), where
     T_ik is the AF of kernel k at target i. Without stored kernels, the error is smaller: currents
     are added in double precision and rounded once.
@@ -287,9 +286,9 @@ class Certainty:
 
     # (2, N) largest value of activation / intensity. Row 0: other classes; row 1: same class.
     reached: Array
-    rounding: Array  # (2, N) most that rounding adds to an activation; rows as in `reached`
-    target: Array  # (N,) smallest value of activation / (level · intensity) of a target
-    lost: Array  # (N,) largest value of activation lost by rounding / level of a target
+    rounding: Array  # (2, N) largest increase of an activation by rounding; rows as in `reached`
+    target: Array  # (N,) smallest value, over targets, of activation / (level · intensity)
+    lost: Array  # (N,) largest value, over targets, of (activation lost by rounding) / level
     total_ua: float  # largest increase of a slot's total current by rounding
 
     @classmethod
@@ -354,8 +353,8 @@ class Certainty:
 
 
 def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
-    """Return sets of sites whose rows and columns are equal modulo ``step``. Raises DesignError if
-    the array is not a grid."""
+    """Return sets of sites. Two sites are in one set if their rows are equal modulo ``step``, and
+    their columns, too. Raises DesignError if the array is not a grid."""
     array, driven = operator.judge.profile.electrodes, operator.judge.profile.driven
     x, column = np.unique(array.position_mm[:, 0].round(6), return_inverse=True)
     y, row = np.unique(array.position_mm[:, 1].round(6), return_inverse=True)
@@ -373,11 +372,11 @@ def provable(profile: Profile) -> bool:
 
 
 def proved_sets(judge: FrameJudge, bounds: FrameBounds) -> list[SharedKernels]:
-    """Return sets of independent sites. If any sites of one set share a slot, the bounds hold.
+    """Return sets of independent sites: whichever sites of one set share a slot, the bounds hold.
 
     Each site is in one set. The proof assumes reduced activations (see `AIM`). The limit of each
     electrode is checked, but not the total current. The list is empty if the array is too large or
-    not a grid, or if the bounds do not hold for any of `_STEPS`.
+    not a grid, or if no step of `_STEPS` gives sets that keep the bounds.
     """
     if not provable(judge.profile):
         return []

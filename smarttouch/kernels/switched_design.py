@@ -1,8 +1,8 @@
 """Kernels for boards that switch one current source: each electrode is cathode, anode or insulated.
 
-The current divides among the electrodes of a pole by their admittance. One pole is always a single
-electrode. Several would not allow more current, because one of them would carry all current if the
-others lost contact.
+The current divides among the electrodes of a pole by their admittance. One of the two poles is
+always a single electrode. Several electrodes at both poles would not allow more current: one would
+carry all current if the others of its pole lost contact.
 """
 
 from collections.abc import Callable
