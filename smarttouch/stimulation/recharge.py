@@ -88,7 +88,7 @@ class RechargeRules:
     most_ua: NDArray[np.int64]  # (E,) largest current of each electrode
     total_ua: int  # largest total current of all cathodes
     timing: ScanTiming
-    duty: float = CEILING_DUTY  # largest share of the time with current
+    duty: float = CEILING_DUTY  # largest share of time in which current flows
 
     @classmethod
     def of(cls, profile: Profile, timing: ScanTiming) -> Self:

@@ -47,7 +47,7 @@ class SafetyLimits:
     current_ma, pulse_us, charge_uc : float
         Limits of one pulse at one electrode.
     rate_hz, duty : float
-        Largest number of sequences per second, and largest share of the time with current.
+        Largest number of sequences per second, and largest share of time in which current flows.
     ramp_s : float
         Shortest time from zero to full intensity.
     full_ma : float
@@ -196,7 +196,7 @@ class SafetyLimits:
 
     @cached_property
     def duty_ratio(self) -> tuple[int, int]:
-        """Largest share of the time with current, as a ratio of integers."""
+        """Largest allowed share of time in which current flows, as a ratio of integers."""
         return decimal(self.duty).as_integer_ratio()
 
     @cached_property
