@@ -52,8 +52,8 @@ class Field(NamedTuple):
 def around_axis(
     x: Array, y: Array, potential: Array, zz: Array, around: Array, slanted: Array
 ) -> Field:
-    """Return the field of a cathode that is symmetric about the z axis. After x and y, pass the
-    field of the same electrode as anode: Φ, ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r. These four values
+    """Return the field of a cathode that is symmetric about the z axis. The last four arguments
+    are the field of the same electrode as an anode: Φ, ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r. They
     must be finite on the axis."""
     r2 = x * x + y * y
     # ∂²Φ/∂r² follows from Laplace's equation; on the axis it equals (∂Φ/∂r)/r.
@@ -189,8 +189,8 @@ def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: fl
 
 
 _MARGIN_PITCHES = {"plane": 2.0}
-"""Nodes up to this distance from the array are considered, in pitches, by medium (1 if not listed).
-In the medium "plane", 2 pitches give the paper's range of −5 to 5 mm."""
+"""Margin of modeled skin around the electrodes, in pitches. Keys are media. All other media have a
+margin of 1 pitch. In the medium "plane", 2 pitches give the paper's range of −5 to 5 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +208,7 @@ class Afferents:
         if not self.depth_mm > 0:
             raise DesignError(
                 f"a {self.afferent.name} fiber at a depth of {self.depth_mm:g} mm lies outside "
-                "the skin: give a depth below the surface, above 0"
+                "the skin: give a depth above 0 mm, measured from the surface into the skin"
             )
 
 
@@ -286,7 +286,7 @@ def _ending(skin: Skin, afferent: Afferent) -> str | None:
 
 
 def _reach_mm(profile: Profile) -> NDArray[np.float64]:
-    """Return half the width and height of the region in which nodes are considered, (2,) mm."""
+    """Return half the width and half the height of the modeled skin, (2,) mm."""
     electrodes = profile.electrodes
     margin = _MARGIN_PITCHES.get(profile.skin.medium, 1.0) * electrodes.pitch_mm
     return np.asarray(np.abs(electrodes.position_mm).max(axis=0) + margin)
@@ -311,7 +311,8 @@ def field_at(
     """Return the field of each electrode at N points, (N, E), and a factor. The factor converts
     potentials to V/mA, and second derivatives to V/mm² per mA.
 
-    Points are (N, 2) mm along the skin. They have one common depth, or depths (N, 1).
+    ``position_mm``, (N, 2), has x and y of each point along the skin. ``depth_mm`` is one depth for
+    all points, or a depth for each, (N, 1).
     """
     if len(electrodes.kinds) > 1:
         return _field_of_kinds(electrodes, skin, position_mm, depth_mm)
@@ -343,7 +344,8 @@ def _field_of_kinds(
     field = Field(*np.zeros((len(Field._fields), len(position_mm), len(electrodes))))
     scale = 1.0
     for (shape, size_mm), which in electrodes.kinds.items():
-        # An ElectrodeArray needs two electrodes. If there is one, add another, and drop its column.
+        # An ElectrodeArray has at least two electrodes. If only one has this shape, add a second
+        # electrode, and drop its column from the result.
         places = electrodes.position_mm[which]
         if len(which) == 1:
             places = np.vstack([places, places + electrodes.pitch_mm])

@@ -45,7 +45,7 @@ def axon_path_points(
 
 
 def axon_path_length_mm(axon_path_mm: Array, corners: int) -> Array:
-    """Return lengths, (B,) mm, of paths from their endings to the corner at index ``corners``."""
+    """Return each path's length, (B,) mm, from its ending, corner 0, to corner ``corners``."""
     steps = np.linalg.norm(np.diff(axon_path_mm[:, : corners + 1], axis=1), axis=2)
     return np.asarray(steps.sum(axis=1))
 
@@ -78,8 +78,7 @@ def _rounded(points_mm: Array, reach: int) -> Array:
 
 Floats = NDArray[np.float32]
 
-_AT_ONCE = 64
-"""Number of branches computed together: more do not fit into the processor's cache."""
+_AT_ONCE = 64  # branches computed together; more do not fit into the processor's cache
 _SHALLOWEST_MM = 0.2
 
 
@@ -140,7 +139,7 @@ class Finger:
 
     @property
     def reach_mm(self) -> Array:
-        """Half of the width and length of the modeled skin, (2,) mm."""
+        """Half the width and half the length of the modeled skin, (2,) mm."""
         outer = np.abs(self.profile.electrodes.position_mm).max(axis=0)
         return np.asarray(outer + self.anatomy.margin_mm)
 
@@ -166,9 +165,9 @@ class Finger:
     def rows(self) -> tuple[Floats, NDArray[np.intp]]:
         """Drives, (N, E), of all nodes that can fire with allowed currents, and ``starts``, (A,).
 
-        A drive, float32 1/mA, is the effect of 1 mA of cathodic current with the profile's pulse. A
-        node fires if the sum of drive times current, mA, is at least 1. The rows of afferent i
-        begin at ``starts[i]``. An afferent without nodes that can fire has one row of zeros.
+        ``starts[i]`` is the first row of afferent i in the drives. A drive, 1/mA, is the effect of
+        1 mA of cathodic current with the profile's pulse. A node fires if its drives times the
+        currents in mA add up to 1 or more. An afferent that cannot fire has one row of zeros.
         """
         row_parts, starts, count = [], [], 0
         for one in self.populations.values():
@@ -257,8 +256,8 @@ class Finger:
     def _drives_of_branches(
         self, population: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
     ) -> tuple[Floats, NDArray[np.intp]]:
-        """Return the drives of nodes that can fire, and the branch of each node. Only the branches
-        in ``part`` are searched, each from its ending to the corner at index ``corners``."""
+        """Return the drives of nodes that can fire, and the branch of each node. Search only the
+        branches in ``part``, each from its ending, corner 0, to corner ``corners``."""
         spacing = driving.internode_mm
         length_mm = axon_path_length_mm(population.axon_path_mm[part], corners)
         nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1

@@ -59,8 +59,8 @@ class Fiber:
     end: Literal["passive", "active", "through"] = "passive"
     # Membrane area of a passive terminal, which has 1 µF/cm² and 1 mS/cm². Our estimate: 0.5 mm of
     # neurite 2 µm thick, coiled in a corpuscle about 100 µm long and 60 µm wide. The area decides
-    # whether anodic or cathodic pulses fire an upright fiber with less current. For 200 µs and a
-    # depth of 0.7 mm, these are anodic pulses above about 1250 µm², and cathodic pulses below.
+    # which pulses fire an upright fiber with less current: for 200 µs and a depth of 0.7 mm,
+    # anodic pulses if the area is above about 1250 µm², and cathodic pulses if it is below.
     terminal_um2: float = 3000.0
 
     def __post_init__(self) -> None:
@@ -80,11 +80,11 @@ class Fiber:
 class Axon:
     """Simulation of a fiber in one or several fields, with many currents at once.
 
-    A time step is split (Strang): half a step of the membranes, a step of axial current, half a
-    step of the membranes. Each part is solved exactly. Gates are half a step ahead of potentials.
-    The fiber continues beyond the last node, in a field without curvature. Arguments are as for
-    `threshold_ma`; potentials can be (C, N) for C fields. P is the number of nodes, padding nodes
-    included. `push`, (P,) or (C, P), is what 1 mA adds to membrane potentials in one step, mV.
+    A time step has three parts (Strang): half a step of the membranes, a step of axial current,
+    half a step of the membranes. Each part is solved exactly. Gates are half a step ahead of
+    potentials. The fiber continues beyond the last node, in a field without curvature. Arguments
+    are those of `threshold_ma`; for C fields, potentials are (C, N). There are P nodes with the
+    padding. `push`, (P,) or (C, P) mV, is the change of their potentials in a step with 1 mA.
     """
 
     def __init__(self, potential_mv_per_ma: ArrayLike, fiber: Fiber, step_us: float) -> None:
@@ -247,9 +247,9 @@ FIBERS = {
     "trunk": Fiber(diameter_um=5.7, internode_mm=0.5, terminal_um2=1850.0),
     "mrg": Fiber(diameter_um=5.7, internode_mm=0.5055746, terminal_um2=1850.0),
 }
-"""Fibers by name: one at the fingertip (Nolano et al. 2003), one in a nerve trunk, and that of the
-MRG model. With a terminal of 1850 µm², an upright fiber 0.7 mm deep has a ratio of cathodic to
-anodic threshold of 1.38. For macaque RA afferents, the ratio is 1.3 to 1.5 (Kaczmarek 2000)."""
+"""Fibers by name: one at the fingertip (Nolano et al. 2003), one in a nerve trunk, and the one of
+the MRG model. With a terminal of 1850 µm², the cathodic threshold of an upright fiber 0.7 mm deep
+is 1.38 times the anodic one. In macaque RA afferents, it is 1.3 to 1.5 times (Kaczmarek 2000)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,7 @@ Floats = NDArray[np.float32]
 _KNOWN = 1024  # largest number of slots whose drives are cached
 _AT_ONCE = 64  # slots whose drives are computed together, which takes about 40 MB
 _FARTHEST = 6.0
-"""An afferent that is this far below threshold, in standard deviations of noise, is assumed
-silent."""
+"""An afferent is assumed silent this far below threshold, in standard deviations of noise."""
 
 
 class SlotCurrents(Protocol):
@@ -106,8 +105,8 @@ class SpikeModel:
         return np.asarray(highest * by_class.astype(np.float32)[:, self.finger.classes])
 
     def fire(self, slots: SlotCurrents, above: Floats | None = None) -> Spikes:
-        """Return the spikes of a sequence. It begins when the sequence of the last call ends.
-        ``above`` is the result of `drive` for the slots; if None, it is computed."""
+        """Return the spikes of a sequence that begins when the sequence of the previous call ends.
+        ``above`` is the result of `drive` for the slots. If it is None, `drive` is called."""
         lasts = slots.width_us.astype(np.int64) + slots.discharge_us
         time_us = self._now_us + np.cumsum(lasts) - lasts
         if above is None:
@@ -216,7 +215,7 @@ class Feeling:
     finger: Finger
     spikes: tuple[Spikes, ...]  # one for each sequence
     active: NDArray[np.bool_]  # (E,) electrodes that were requested to stimulate
-    # requested classes; all classes if the input has sequences without steps
+    # classes that the steps stimulate; all classes if the input is or contains a ScanSequence
     wanted: tuple[Afferent, ...]
 
     @cached_property

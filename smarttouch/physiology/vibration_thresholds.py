@@ -8,9 +8,9 @@ hyperbolas with a minimum at the best frequency; SAI is flat up to a few hertz. 
   of its band, RA's threshold is 3 dB above the minimum. PC's thresholds at 60 and 800 Hz are equal.
 - Intersection: on the fingertip, RA and PC have equal thresholds at 40 Hz (Güçlü and Bolanowski).
   The paper's bands, which overlap from 60 to 70 Hz, are from other skin.
-- Slopes: the four-channel model (Bolanowski, Gescheider, Verrillo and Checkosky,
-  J. Acoust. Soc. Am. 84, 1988): about -12 dB per octave below the best frequency of the
-  Pacinian channel, about -5 below that of NP I (RA), none for NP III (SAI).
+- Slopes: the four-channel model (Bolanowski, Gescheider, Verrillo and Checkosky, J. Acoust. Soc.
+  Am. 84, 1988). Below the best frequency, the slope is about -12 dB per octave for the Pacinian
+  channel (PC) and about -5 dB per octave for NP I (RA). NP III (SAI) has no such slope.
 - Minima: PC has -10 dB re 1 µm for a contactor of 0.3 cm² on a finger pad. This is extrapolated
   from -20 dB for 2.9 cm² on the thenar (Bolanowski et al.), plus 3 dB for each halving of the area
   (Verrillo, J. Acoust. Soc. Am. 35, 1963). On the fingertip, these 3 dB are confirmed only from
