@@ -1,4 +1,4 @@
-"""Afferent classes, and modes of a run, which stimulate one or several classes."""
+"""Afferent classes, and the modes of a run. A mode stimulates one class or several."""
 
 from enum import IntEnum, StrEnum
 

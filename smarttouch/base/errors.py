@@ -123,7 +123,7 @@ class SafetyError(SmartTouchError):
 
 
 class BoardError(SmartTouchError):
-    """A board cannot be opened, refused a command, or was lost."""
+    """A board cannot be opened, has refused a command, or has been lost."""
 
 
 class LineLostError(BoardError):

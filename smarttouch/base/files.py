@@ -149,10 +149,8 @@ def make_folder(path: Path) -> None:
 
 
 def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTouchError) -> None:
-    """Write a file atomically: it is complete on disk before it replaces an existing file.
-
-    Devices and pipes are written directly.
-    """
+    """Write a file atomically: it is complete on disk before it replaces an existing file. Devices
+    and pipes are written directly."""
     try:
         # Append to /dev/stdout: it may be a file to which other programs write as well.
         if path.exists() and (not path.is_file() or path.parent == Path("/dev")):
@@ -290,7 +288,10 @@ def read_csv(
 def _numbers(head: list[str], cells: list[str], names: list[str]) -> list[float]:
     # A decimal comma splits a number into two cells and shifts all later cells.
     if any(map(str.strip, cells[len(head) :])):
-        raise ValueError(f"{len(cells)} cells, but the heading has {len(head)}: write 7.5, not 7,5")
+        raise ValueError(
+            f"the line has {len(cells)} cells, but the heading has {len(head)}: remove cells, or "
+            "write 7.5 instead of 7,5"
+        )
     row = dict(zip(head, cells, strict=False))
     for name in names:
         if math.isnan(finite(row.get(name, ""))):

@@ -36,10 +36,8 @@ O_NOCTTY, O_NONBLOCK, O_NOFOLLOW, O_BINARY = (
 
 
 def try_lock(number: int, shared: bool = False) -> bool:
-    """Lock an open file until it is closed; return False if another process holds the lock.
-
-    Return True on file systems without locks.
-    """
+    """Lock an open file until it is closed; return False if another process holds the lock. Return
+    True on file systems without locks."""
     try:
         if fcntl is not None:
             fcntl.flock(number, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)

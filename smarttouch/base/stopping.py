@@ -43,14 +43,15 @@ class StopRequest:
             self.event.set()
             calls = self._on_stop.copy() if at_once else []
         with contextlib.ExitStack() as stack:
-            # Call all functions even if one raises. The loss of a board is reported by its `close`.
+            # Call all functions even if one raises. The error of a lost board is ignored here,
+            # because the board's `close` reports the loss.
             for call in reversed(calls):
                 stack.enter_context(contextlib.suppress(SmartTouchError))
                 stack.callback(call)
 
     def always_on_stop(self, tell: Callable[[], None]) -> None:
-        """Call a function when the end is requested. The function added last is called first, so
-        that a run ends before its board refuses sequences."""
+        """Call a function when the end is requested. The function added last is called first: a
+        run is added after its board, so that it ends before the board refuses sequences."""
         with self._lock:
             self._on_stop.insert(0, tell)
 
@@ -74,8 +75,8 @@ _pending: BaseException | None = None
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Delay exceptions of signal handlers until the block ends. So a write to a board, for example,
-    is complete."""
+    """Delay exceptions that signal handlers raise with `interrupt` until the block ends. Otherwise
+    they could cut a write to a board short."""
     global _writes, _pending
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -91,7 +92,7 @@ def uninterrupted() -> Iterator[None]:
 
 
 def interrupt(error: BaseException) -> None:
-    """Raise an error in a signal handler, or at the end of the current `uninterrupted` block."""
+    """Raise an error from a signal handler. Within an `uninterrupted` block, wait for its end."""
     global _pending
     if not _writes:
         raise error

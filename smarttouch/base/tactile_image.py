@@ -59,8 +59,8 @@ class Frame:
     stale : bool
         Whether the image may be outdated, because the source delivers no new one.
     period_us : int, µs, optional
-        Time to the next read, in which each active class gets one pulse. None means that classes
-        get pulses at the profile's rates.
+        Time to the next read. Each active class gets one pulse in this time. None means that
+        classes get pulses at the profile's rates.
     """
 
     __repr__ = one_line
@@ -88,8 +88,8 @@ class TactileImage:
     force_n : float, N
         Finger force at that time.
     period_us : int, µs, optional
-        Time to the next image, in which each active class gets one pulse. None means that classes
-        get pulses at the profile's rates.
+        Time to the next image. Each active class gets one pulse in this time. None means that
+        classes get pulses at the profile's rates.
     level : float, in [0, 1]
         Factor that multiplies the user's intensity.
     """

@@ -141,7 +141,7 @@ def all_options(
     for name in options:
         if name not in taken:
             kind, takes = url.partition(":")[0], ", ".join(taken) or "none"
-            raise error(f"{kind}: has no option {name}: leave {name} out (options: {takes})")
+            raise error(f"'{kind}:' has no option {name}: leave {name} out (options: {takes})")
     address, in_url = read_options(opener, rest, error, but)
     if twice := sorted(options.keys() & in_url.keys()):
         raise error(f"{twice[0]} is given in {url!r} and as an argument: leave one out")
@@ -161,7 +161,7 @@ _TRUTHS = {"": True, "1": True, "yes": True, "true": True, "0": False, "no": Fal
 
 
 def options_of(opener: Callable[..., Any], but: Collection[str] = ()) -> dict[str, Any]:
-    """Return the name and type of each option of an opener that can be given as text."""
+    """Return the type of each option that an opener accepts in a URL. Keys are option names."""
     kinds = {}
     for parameter in inspect.signature(opener).parameters.values():
         if parameter.default is inspect.Parameter.empty or parameter.name in but:

@@ -52,15 +52,15 @@ class Deframer:
             return None
         while at + data[at] < len(data):
             at += data[at]
-        # Shorten an incomplete last COBS block to the bytes that have arrived. A complete block
-        # decodes to its bytes and a zero; the zero is missing if the block has the largest length.
+        # If the last COBS block is incomplete, shorten it to the bytes that have arrived. A zero
+        # follows each complete block below the largest length. `cobs.decode` omits the last zero.
         zero = b"\0" if at + data[at] == len(data) and data[at] < 0xFF else b""
         data[at] = len(data) - at
         decoded = bytes(cobs.decode(bytes(data))) + zero
         return decoded[:count] if len(decoded) >= count else None
 
     def feed(self, data: bytes) -> list[WirePacket]:
-        """Return the packets that these bytes complete."""
+        """Add received bytes to the stream, and return the packets that end in them."""
         *complete, rest = data.split(b"\0")
         packets = []
         for piece in complete:

@@ -47,7 +47,7 @@ def open_port(
     Raises
     ------
     SmartTouchError
-        Of class ``error``, with the remedy in its message.
+        If the port cannot be opened. The error has the class ``error`` and says what to do.
     """
     tcp = name.startswith("tcp://")
     url = name.replace("tcp://", "socket://", 1) if tcp else name
@@ -215,7 +215,7 @@ def _advice(error: Exception) -> str:
     if "ioctl" in text:
         return "it is not a serial port: check the name"
     if "refused" in text:
-        return "nothing listens there: check its address and port, and that it is switched on"
+        return "no device answers at this address: check address and port, and switch the device on"
     if "No such file" in text or getattr(error, "errno", None) == 2:
         return (
             "there is no such port: check the cable and the name. BRLTTY may have claimed a board "
