@@ -79,9 +79,9 @@ def assert_same_pulses(
 
 
 class AtLine:
-    """Context manager that starts an action in a new thread when a driver executes a line.
-    ``number`` is the index of the line among the executed lines of the driver's package, without
-    those of `Board`."""
+    """Context manager that starts an action in a new thread before one line of a driver's code.
+    ``number`` is the number of lines that run before this line. Only lines of code in the driver's
+    package are counted, except those of `Board`."""
 
     thread: threading.Thread | None
 
@@ -176,7 +176,8 @@ class DriverContract:
 
     def board(self, driver: Driver, limits: SafetyLimits) -> Board:
         """Return the board of a driver. Override this method for another output or clock."""
-        # Without a finger, the board does not count toward the limit of the user's total current.
+        # No finger touches the board, so its current does not count toward the limit of the total
+        # current through the user.
         return Board(driver, limits, late_ns=LATE_NS, on_a_finger=False)
 
     def received(self) -> bytes:
@@ -184,8 +185,7 @@ class DriverContract:
         raise NotImplementedError("override received: return all bytes sent to the device")
 
     def decode(self, data: bytes) -> list[SentPulse]:
-        """Return the pulses that a device delivers for these bytes, in order, including
-        repetitions.
+        """Return the pulses that a device delivers for these bytes, in order, with repetitions.
 
         Include `ZERO` wherever all electrodes are set to zero. Follow the documentation of the
         device, not the driver: tests cannot find an error that decoder and driver share.
@@ -193,12 +193,12 @@ class DriverContract:
         raise NotImplementedError("override decode: return the pulses that the device delivers")
 
     def pulses(self) -> list[SentPulse]:
-        """Return the pulses sent to the device; override this method if the device does not receive
-        bytes."""
+        """Return the pulses sent to the device. Override this if the device receives no bytes."""
         return self.decode(self.received())
 
     def assert_silent(self) -> None:
-        """Fail unless the last command sets all electrodes to zero and no command follows."""
+        """Fail unless the last command so far sets all electrodes to zero, and the device receives
+        no command during the next two periods."""
         before = self.pulses()
         assert before[-1] == ZERO, "the last command does not set all electrodes to zero"
         time.sleep(2e-6 * self.period_us)

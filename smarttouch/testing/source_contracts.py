@@ -39,7 +39,7 @@ class SourceContract(_Opened):
     ends : bool
         Whether the source ends by itself.
     longest_s : float, s
-        Latest time of the end, if the source ends.
+        Time within which the source must end, if it ends by itself.
     step_s : float, s
         Time from one frame to the next.
     """
@@ -58,7 +58,7 @@ class SourceContract(_Opened):
 
     @pytest.fixture
     def source(self, profile: Profile) -> Iterator[Source]:
-        """Return a new source, closed after the test."""
+        """Return a new source. It is closed after the test."""
         with self.make(profile) as source:
             yield source
 
@@ -178,7 +178,7 @@ class StimulusContract(SourceContract):
             assert given.image.ndim == 2
 
     def check_same(self, one: Input, other: Input) -> None:
-        """Check that two reads of one stimulus have equal poses. Activation may change in time."""
+        """Check that two reads of one stimulus have equal poses. Their activations may differ."""
         assert one.pose == other.pose
 
 
@@ -196,7 +196,7 @@ class ForceContract(_Opened):
 
     @pytest.fixture
     def force(self, profile: Profile) -> Iterator[ForceSource]:
-        """Return a new source of force, closed after the test."""
+        """Return a new source of force. It is closed after the test."""
         with self.make(profile) as force:
             yield force
 
