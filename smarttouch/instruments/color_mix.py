@@ -36,11 +36,9 @@ def disc(profile: Profile) -> NDArray[np.intp]:
 
 
 def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the electrodes, (S',), whose pulses a person perceives at ``sites``.
-
-    The profile's shift of the class leads from an electrode to the perceived place (paper,
-    Section III-B.4). A site is omitted if no driven electrode is perceived there.
-    """
+    """Return the electrodes, (S',), whose pulses a person perceives at ``sites``, (S,). If the
+    profile has a shift for the class, a pulse is perceived at the place of its electrode plus this
+    shift (paper, Section III-B.4). A site is omitted if no driven electrode is perceived there."""
     places = perceived_at(profile, afferent)
     if places is None:
         return sites
@@ -49,7 +47,8 @@ def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) ->
 
 
 def parse_places(profile: Profile, sites: str | None) -> NDArray[np.intp]:
-    """Parse a list of electrodes: ``27,28,35-36`` or ``all``. None selects those of `disc`."""
+    """Parse a list of electrodes: ``27,28,35-36`` or ``all``. If ``sites`` is None, return the
+    electrodes that `disc` selects."""
     if sites is None:
         return disc(profile)
     if sites == "all":
@@ -61,8 +60,8 @@ Times = NDArray[np.int64]
 
 
 def shortest_us(profile: Profile, slots: int, timing: ScanTiming) -> int:
-    """Return the shortest period, µs, of a sequence with ``slots`` slots that keeps the limits of
-    the profile and the timing of the board."""
+    """Return the shortest period, µs, of a sequence that has ``slots`` slots. It follows from the
+    limits of the profile and from the timing of the board."""
     pulse, limits = profile.pulse, profile.limits
     within_us = max(slots * pulse.width_us / limits.duty, 1e6 / limits.rate_hz)
     return timing.shortest_period_us(
@@ -84,10 +83,11 @@ def thinned(time_us: Times, least_us: int) -> Times:
 def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.intp]]]:
     """Merge trains of pulses into sequences that start at least ``least_us`` apart.
 
-    A train has the times of its pulses, (K,) int64, µs, ascending. They are at least ``least_us``
-    minus 1 µs apart. A pulse joins the latest sequence if the sequence began less than half of
-    ``least_us`` ago. Otherwise, the pulse starts a new sequence. Pulses move by at most half of
-    ``least_us``. Return the start of each sequence, and the sequence index of each pulse by train.
+    A train has the ascending times of its pulses, (K,) int64, µs. Two pulses of a train are at
+    least (``least_us`` - 1) µs apart. A pulse joins the latest sequence if the sequence began less
+    than half of ``least_us`` ago. Otherwise, the pulse starts a new sequence. Pulses move by at
+    most half of ``least_us``. Return the start of each sequence and, for each train, the index of
+    the sequence that each of its pulses joined.
     """
     events = sorted(
         (pulse_us, row) for row, train in enumerate(trains) for pulse_us in train.tolist()
@@ -128,7 +128,8 @@ class Mixture:
 
     @property
     def mode(self) -> Mode:
-        """Mode of the stimuli: the pulsed class if there is only one, otherwise color."""
+        """Mode of the stimuli. If all are pulses for one class, it is the mode of this class.
+        Otherwise, it is the mode ``color``."""
         if len(self.ideal_us) == 1 and not self.vibrated:
             return Mode[next(iter(self.ideal_us)).name]
         return Mode.COLOR
@@ -155,7 +156,7 @@ class Mixture:
 
 def mix_colors(
     trace: Trace,
-    # At `force.full_n`, SAI drive is full. The limits set the shortest period of a sequence.
+    # SAI drive is full at `force.full_n`. The shortest period of a sequence follows from `limits`.
     profile: Profile,
     bank: KernelBank,  # kernels; a class without kernels cannot be stimulated
     sites: Collection[int] | None = None,  # stimulated electrodes; by default those of `disc`
@@ -250,7 +251,8 @@ def _drive_at(answer: ReceptorResponse, time_us: Times, duration_s: float) -> ND
 
 
 LONGEST_US = 20_000
-"""Longest time without a stimulus. A longer time would delay the stop after a lifted finger."""
+"""Longest time, µs, between stimuli. The run reads the force at each stimulus. With a longer time,
+it would notice later that the finger has been lifted."""
 
 
 class ColorSource(StimulusSource):
@@ -320,12 +322,10 @@ def open_vibration(
     display: Display | None = None,
     vibrated: bool = False,
 ) -> ColorSource:
-    """Open ``vibration:TRACE``. TRACE is a line or a CSV file, as for `open_trace`.
-
-    ``sites`` lists electrodes, as in ``27,28,35-36`` or ``all``. They pulse when the receptors of a
-    class would fire. If a display is given, the stimuli fit the timing of its board. If
-    ``vibrated``, a mechanical vibrator stimulates PC.
-    """
+    """Open ``vibration:TRACE``. TRACE is a line of text or the path of a CSV file, as for
+    `open_trace`. ``sites`` lists the electrodes that pulse, as in ``27,28,35-36`` or ``all``. They
+    pulse for a class when the receptors of this class would fire. If ``display`` is given, the
+    stimuli fit the timing of its board. If ``vibrated``, a mechanical vibrator stimulates PC."""
     trace = open_trace(rest, seconds)
     bank, places = load_bank(profile), parse_places(profile, sites)
     timing = None if display is None else display.board.driver.timing
@@ -335,7 +335,7 @@ def open_vibration(
     if mixture.pulses(Afferent.PC):
         worst_other = bank.off_target[Afferent.PC].max()
         source.notes.append(
-            f"PC pulses stimulate another class up to {worst_other:.1f} times as strongly as PC: "
-            "electrodes cannot stimulate only PC"
+            f"pulses for PC stimulate another class up to {worst_other:.1f} times as strongly as "
+            "PC: electrodes cannot stimulate PC alone"
         )
     return source

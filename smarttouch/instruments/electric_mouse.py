@@ -71,10 +71,11 @@ class PageMotion(HandMotion):
 
 SLIDES = 1.5
 """Distance, in mouse counts, by which the filtered place lags behind a moving hand. It is larger
-than jitter of one count along both axes (1.4)."""
+than 1.4 counts, the length of a jitter of one count along both axes."""
 STICKS = 4.5
-"""Distance from the filtered place, in mouse counts, above which a resting hand counts as moving.
-Jitter alone reaches 4.3: the filter lags by 1.5, and two counts along both axes add 2.8."""
+"""A hand at rest counts as moving if it is farther than this from the filtered place, in mouse
+counts. Jitter alone causes a distance of up to 4.3 counts: the filter lags by 1.5, and jitter of
+two counts along both axes adds 2.8."""
 _ROUNDING = 1 + 1e-6  # factor that tolerates rounding errors when distances are compared
 
 
@@ -169,8 +170,9 @@ class MouseSource(StimulusSource):
     """Source in which an electrode pulses when a ridge of the texture passes under it.
 
     The pulse rate of an electrode is the texture's spatial frequency times the hand's speed. The
-    texture stays in place, and a hand at rest receives no pulses (paper, Section IV-C). A stimulus
-    has the array's center on the texture as its pose, and the texture under the array as its image.
+    texture stays in place, and a hand at rest receives no pulses (paper, Section IV-C). The pose of
+    a stimulus is the place of the array's center on the texture. Its image shows the texture under
+    the array.
     """
 
     frames: int
@@ -299,10 +301,8 @@ class MouseSource(StimulusSource):
 
 
 def open_motion_over(texture: Texture, url: str, profile: Profile, **options: Any) -> HandMotion:
-    """Open a motion by its URL, with the options that depend on the texture or the profile.
-
-    The URL ``page`` selects the pointer in the run's window.
-    """
+    """Open a motion by its URL, with the options that depend on the texture or the profile. The URL
+    ``page`` selects the pointer in the run's window."""
     if url == "page":
         return PageMotion(texture)
     kind = url.partition(":")[0]

@@ -54,10 +54,8 @@ class HandMotion(Device, ABC):
 
 
 def open_motion(url: str, **options: Any) -> HandMotion:
-    """Open a motion: ``sweep:``, ``evdev:DEVICE``, ``path:CSV``, or any source with a pose.
-
-    Options can be in the URL, as in ``sweep:?speed_mm_s=20``. An option of None has its default.
-    """
+    """Open a motion: ``sweep:``, ``evdev:DEVICE``, ``path:CSV``, or any source with a pose. Options
+    can be in the URL, as in ``sweep:?speed_mm_s=20``. If an option is None, its default applies."""
     kind, colon, rest = url.partition(":")
     openers: dict[str, Callable[..., HandMotion]] = {
         "evdev": open_evdev, "path": open_path, "sweep": open_sweep,
@@ -81,11 +79,9 @@ def open_path(rest: str) -> "PathMotion":
 
 
 class PathMotion(HandMotion):
-    """Motion in straight lines between the points of a CSV file.
-
-    The file has columns ``time_s``, ``x_mm``, ``y_mm`` (from the texture's top left corner) and
-    optionally ``force_n``; other columns are ignored.
-    """
+    """Motion in straight lines between the points of a CSV file. The file has columns ``time_s``,
+    ``x_mm``, ``y_mm`` (from the texture's top left corner) and optionally ``force_n``; other
+    columns are ignored."""
 
     resolution_mm = _PATH_RESOLUTION_MM
 
@@ -115,7 +111,7 @@ _IMAGE_RESOLUTION_MM = 0.02  # jitter of image-based motion at rest (our estimat
 
 
 def open_posed_source(url: str, *, profile: Profile | None = None) -> "SourceMotion":
-    """Open any source with a pose; the default profile is electric-mouse."""
+    """Open any source whose frames have poses. The default profile is electric-mouse."""
     return SourceMotion(open_source(url, profile or load_profile(DEFAULT_PROFILE)))
 
 
@@ -187,7 +183,8 @@ def strokes_over(size_mm: tuple[float, float], array_mm: tuple[float, float]) ->
 
 
 class SweepMotion(HandMotion):
-    """Virtual hand that sweeps an area lane by lane and back, with a rest after each stroke."""
+    """Virtual hand that moves over an area along parallel lanes, then back on the same path. It
+    rests after each stroke."""
 
     def __init__(
         self,
@@ -229,7 +226,7 @@ def _round_trip(span_mm: tuple[float, float], lane_mm: float) -> NDArray[np.floa
 
 
 def _timed(points: NDArray[np.float64], speed_mm_s: float) -> NDArray[np.float64]:
-    """Return the arrival and the departure at each point as rows of time, x, y, (2 N, 3) s, mm."""
+    """Return two rows for each point, arrival and departure, (2 N, 3): time (s), x and y (mm)."""
     strokes_s = np.hypot(*np.diff(points, axis=0).T) / speed_mm_s
     comes = np.concatenate([[0.0], START_S + np.cumsum(strokes_s + REST_S) - REST_S])
     leaves = comes + REST_S

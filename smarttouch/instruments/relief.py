@@ -30,7 +30,7 @@ from smarttouch.pages.document import Document
 from smarttouch.pages.page_image import require_size_mm
 from smarttouch.pages.prepared_page import print_text
 
-LETTER_MM = 12.0  # height of letters, whose strokes are wide enough for electrodes 2 mm apart
+LETTER_MM = 12.0  # height of letters; their strokes are then wide enough for electrodes 2 mm apart
 _PRINTED_MM = 4.2  # height of the letters that `print_text` draws, ascender to descender
 _MARGIN_MM = 4.0
 _LEAST_RANGE = 7.65  # an image is flat if its gray levels (0 to 255) differ by at most this
@@ -45,7 +45,7 @@ class Heights(NamedTuple):
 
 
 def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = None) -> Heights:
-    """Load an image as a height map; dark is high. A file without scale needs dpi or width_mm."""
+    """Load an image; dark places are high. A file without scale needs ``dpi`` or ``width_mm``."""
     with Document(path, dpi=dpi, page_width_mm=width_mm) as document:
         page = document.page(0)
     if document.notes:
@@ -90,8 +90,8 @@ _LONGEST_SIDE = 32_000  # longest side of a map, px: OpenCV samples with 16-bit 
 _LOWEST, _HIGHEST = 0.25, 0.75
 """A place below `_LOWEST` is never raised, and a place above `_HIGHEST` is always raised. Between
 these heights, the threshold is the mean height of the surroundings."""
-_AROUND = 2.5  # side of the box filter, in grains; applied twice, its sigma is one grain
-_BLUR_MM = 0.2  # sigma of the blur against noise in photographs; lines of 0.1 mm remain
+_AROUND = 2.5  # side of the box filter, in grains; two passes have a sigma of one grain together
+_BLUR_MM = 0.2  # sigma of the blur that removes noise of photographs; lines 0.1 mm wide survive it
 
 
 class Relief(Texture):
@@ -137,7 +137,7 @@ class Relief(Texture):
     def draw(
         self, left_mm: float, top_mm: float, shape: tuple[int, int], pixel_mm: float
     ) -> NDArray[np.uint8]:
-        """Return a part of the relief as gray levels, (H, W) uint8; dark is high."""
+        """Return a part of the relief as gray levels, (H, W) uint8. Dark pixels are high places."""
         by_x, by_y = pixel_mm / self.scale_mm[0], pixel_mm / self.scale_mm[1]
         left, top = left_mm / self.scale_mm[0], top_mm / self.scale_mm[1]
         to_map = np.array([[by_x, 0, left + by_x / 2 - 0.5], [0, by_y, top + by_y / 2 - 0.5]])
@@ -171,14 +171,18 @@ class Relief(Texture):
         return np.asarray(depth[inside].copy(), np.float32)
 
 
-_STROKE = 0.15  # smallest depth, as a share of `grain_mm`, for pulses at every `grain_mm` of motion
+_STROKE = 0.15
+"""Smallest depth, as a share of `grain_mm`, at which an electrode pulses after each `grain_mm` of
+motion. At a smaller depth, an electrode pulses only at crests."""
 _STEP = 1.25  # distance between samples along the path, in pixels of the map
 _MOST_SAMPLES = 64
 _FULL = 0.96
-"""Full depth is half a grain. This share of it suffices, because rounding and blur reduce depth."""
+"""A place counts as fully deep at this share of the full depth (half a grain) or more. The share is
+below 1, because rounding and blur reduce depth."""
 _LEAST_RISE = 0.5
-"""Smallest rise to a crest from the smallest depth since the last pulse, as a share of the crest's
-depth. A maximum after a smaller rise, as on a path along a ridge, is ignored."""
+"""A maximum of depth is a crest only if depth has risen enough since the last pulse. The rise is
+counted from the smallest depth since then. It must be at least this share of the depth at the
+maximum. Smaller rises, as on a path along a ridge, are ignored."""
 
 
 class ReliefFeeler:
@@ -196,7 +200,8 @@ class ReliefFeeler:
         self._least_mm = relief.pixel_mm / 2
         self._ground_mm = np.float32(_STROKE * relief.grain_mm)
         self._within_mm = relief.grain_mm / 2 - float(self._ground_mm)
-        """On the way into a wide area, the distance from depth `_ground_mm` to the first pulse."""
+        """Distance that an electrode moves straight into a wide raised area, from the place where
+        depth is `_ground_mm` to the first pulse."""
         self._all = np.arange(len(position_mm))
         self._nothing = RidgeCrossing(np.zeros(len(position_mm), np.float32), 0)
         self._nothing.height.flags.writeable = False
@@ -222,7 +227,8 @@ class ReliefFeeler:
         step = by * (self._step_mm / abs(by))
         if samples > _MOST_SAMPLES:
             samples, step = _MOST_SAMPLES, by / _MOST_SAMPLES
-        # Include the last two samples of the previous move: a maximum is found one sample later.
+        # Include the last two samples of the previous move. The last one can be a maximum, but
+        # this shows only in the next sample.
         places = np.asarray(self._place + step * np.arange(-1, samples + 1), np.complex128)
         x, y = self._on_map(places)
         depth = np.concatenate([self._before, self._depth(x[2:], y[2:])])
@@ -249,7 +255,7 @@ class ReliefFeeler:
             self._lowest = lowest[-1]
             return self._nothing
         self._lowest = np.where(pulsed, depth[-1], lowest[-1])
-        # Measure the distance to the next pulse from where this pulse was due. Pulses can be late.
+        # A pulse can be late. Measure the distance to the next one from where this one was due.
         gone, grain_mm = places[-1] - self._pulsed, self._relief.grain_mm
         gone_mm = np.maximum(np.abs(gone), grain_mm)
         over = gone_mm - grain_mm < step_mm * (len(places) - 2)
@@ -329,9 +335,7 @@ def open_texture(
     light_on_dark: bool = False,  # whether bright is high
 ) -> Texture:
     """Open a texture: ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or an image file.
-
-    Dark is high. ``spec`` can end with options, as in ``wood.png?dpi=300``.
-    """
+    Dark places are high. ``spec`` can end with options, as in ``wood.png?dpi=300``."""
     asked = {
         "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm,
         "light_on_dark": light_on_dark or None,

@@ -87,9 +87,7 @@ _EXAMPLE = "write for example tone:30Hz,8um+press:0.5N"
 
 def open_trace(text: str, seconds: float = 2.0) -> Trace:
     """Return the trace given by a line such as ``tone:30Hz,8um``, or by the path of a CSV file.
-
-    ``seconds`` is the duration if a line is given; a file states its duration.
-    """
+    ``seconds`` is the duration if a line is given; a file states its duration."""
     if not 0 < seconds <= LONGEST_S:
         message = f"a trace cannot last {seconds:g} s: give more than 0, at most {LONGEST_S:g} s"
         raise SmartTouchError(message)
@@ -180,7 +178,7 @@ def turning(trace: Trace, afferent: Afferent) -> NDArray[np.complex128]:
 
 
 def cycles(wave: NDArray[np.complex128], driven: NDArray[np.bool_], trace: Trace) -> Array:
-    """Return the samples at which cycles of an analytic signal begin, where ``driven`` is set."""
+    """Return the samples at which a cycle of an analytic signal begins while ``driven`` is True."""
     return _upward(wave, driven, round(_GAP_S * trace.sample_hz))
 
 
@@ -222,15 +220,17 @@ def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
 
 
 def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int) -> Array:
-    """Return one sample per driven cycle: where the real part of ``turning`` crosses zero upward.
-    A stretch of driven samples goes on across up to ``gap`` undriven samples."""
+    """Return one sample for each driven cycle: the sample at which the real part of ``turning``
+    crosses zero upward. A gap of at most ``gap`` undriven samples does not end a stretch of driven
+    samples."""
     turns = (np.unwrap(np.angle(turning)) + math.pi / 2) / (2 * math.pi)
     full_turns = np.floor(turns).astype(np.int64)
     on = np.flatnonzero(driven)
     if not len(on):
         return np.empty(0)
-    # With jitter, the phase can cross zero several times in a cycle: count a crossing only if the
-    # phase exceeds all earlier phases. An offset lifts each driven stretch above earlier ones.
+    # Jitter can make the phase cross zero several times in a cycle. So count a crossing only if the
+    # phase is larger than all earlier phases. An offset makes all phases of a driven stretch larger
+    # than those of earlier stretches, so that this condition compares only within the stretch.
     starts = on[np.diff(on, prepend=-gap - 1) > gap]
     stretch = np.cumsum(np.bincount(starts, minlength=len(driven))) - 1
     height = full_turns - full_turns[starts][stretch] + stretch * (2 * len(driven))

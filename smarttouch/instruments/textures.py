@@ -32,11 +32,8 @@ class TextureSampler(Protocol):
 
 
 class Texture(ABC):
-    """Fixed surface with ridges.
-
-    `size_mm` is width and height, None if unbounded. `middle_mm` is the middle, where a hand starts
-    by default. `notes` are assumptions, one sentence each.
-    """
+    """Fixed surface with ridges. `size_mm` is width and height, None if unbounded. `middle_mm` is
+    the middle, where a hand starts by default. `notes` are assumptions, one sentence each."""
 
     def __init__(
         self,
@@ -51,17 +48,19 @@ class Texture(ABC):
 
     @abstractmethod
     def feeler(self, position_mm: NDArray[np.float64]) -> TextureSampler:
-        """Return a sampler for electrodes at ``position_mm``, (E, 2), from the array's middle."""
+        """Return a sampler for electrodes at ``position_mm``, (E, 2). The origin is the middle of
+        the array."""
 
     @abstractmethod
     def draw(
         self, left_mm: float, top_mm: float, shape: tuple[int, int], pixel_mm: float
     ) -> NDArray[np.uint8]:
-        """Draw a part of the texture, (H, W) uint8; dark is high."""
+        """Draw a part of the texture, (H, W) uint8. Dark pixels are high places."""
 
 
 class Grating(Texture):
-    """Unbounded grating with a ridge at the origin. ``angle_deg`` is clockwise from vertical."""
+    """Unbounded grating with a ridge at the origin. ``angle_deg`` is the clockwise angle from the
+    vertical to the ridges."""
 
     def __init__(self, pitch_mm: float, angle_deg: float = 0.0) -> None:
         words = f"a grating of {pitch_mm:g} mm"
@@ -81,7 +80,7 @@ class Grating(Texture):
     def draw(
         self, left_mm: float, top_mm: float, shape: tuple[int, int], pixel_mm: float
     ) -> NDArray[np.uint8]:
-        """Return a part of the grating as gray levels, (H, W) uint8; dark is high."""
+        """Return a part of the grating as gray levels, (H, W) uint8. Ridges are dark."""
         rows, columns = shape
         across = (left_mm + pixel_mm * (np.arange(columns) + 0.5)) * self.per_mm[0]
         down = (top_mm + pixel_mm * (np.arange(rows) + 0.5)) * self.per_mm[1]

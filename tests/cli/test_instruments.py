@@ -34,7 +34,7 @@ def test_all_three_on_an_emulated_board(played, tmp_path):
     assert figures["emulator_violations"] == 0
     # Each of four sites has at least 28 RA pulses (at 30 Hz) and 120 PC pulses (at 125 Hz).
     assert figures["slots"] > 4 * (28 + 120)
-    assert "PC pulses stimulate another class" in figures["noted"]
+    assert "pulses for PC stimulate another class" in figures["noted"]
     assert_replays(tmp_path / "r.mcap")
 
 
