@@ -15,8 +15,9 @@ class Output(Table):
     """Current outputs of the board."""
 
     kind: Literal["weighted", "three-state", "one-against-all"]
-    """Abilities of the board: a current for each electrode ("weighted"); anode, cathode or off for
-    each electrode ("three-state"); one electrode against all others ("one-against-all")."""
+    """What the board can do. "weighted": set a separate current for each electrode. "three-state":
+    make each electrode anode, cathode or off. "one-against-all": drive one electrode against all
+    others."""
     polarities: tuple[Literal["anodic", "cathodic"], ...] = Field(
         default=("anodic", "cathodic"), min_length=1
     )
@@ -46,7 +47,8 @@ class Output(Table):
                 )
             if min(values, default=0) < 0:
                 yield UnfitError(
-                    f"output.{key} lists {min(values)}: give numbers from 0", key=f"output.{key}"
+                    f"output.{key} lists the negative number {min(values)}: give 0 or more",
+                    key=f"output.{key}",
                 )
 
 
@@ -66,15 +68,15 @@ class Optics(Table):
     rotation_deg: float = Field(default=0.0, ge=-180, le=180)
     """Clockwise angle by which the array appears rotated in a frame."""
     offset_x_mm: Number = 0.0
-    """Distance of the array's center to the right of the frame's center, measured on the page."""
+    """How far the array's center is to the right of the frame's center, measured on the page."""
     offset_y_mm: Number = 0.0
-    """Distance of the array's center below the frame's center, measured on the page."""
+    """How far the array's center is below the frame's center, measured on the page."""
     homography: tuple[Number, ...] | None = Field(default=None, min_length=9, max_length=9)
     """Homography of a tilted camera, row by row. It maps places on the page, mm from the center of
     the array, to pixels of a frame. Pixel centers have integer coordinates. A given homography
     replaces field, rotation and offset."""
     flat_field: str | None = None
-    """Name of a file in the profile's folder with the dark level and the gain of each pixel."""
+    """File in the profile's folder that has the dark level and the gain of each pixel."""
 
 
 class ForceLaw(Table):
@@ -87,8 +89,8 @@ class ForceLaw(Table):
     full_n: Positive
     """Force above which intensity is full."""
     curve: tuple[float, ...] | None = Field(default=None, min_length=2, max_length=6)
-    """Coefficients of a polynomial, lowest first, that converts readings of a load cell to
-    newtons."""
+    """Coefficients of the polynomial that converts readings of a load cell to newtons, beginning
+    with the constant term."""
     source: str | None = Field(default=None, pattern=r"^[a-z0-9_]+:.")
     """Default source of force for real boards, for example ``hx711:/dev/ttyUSB1``. With
     ``fixed:0.9``, force is not measured but assumed to be 0.9 N."""
@@ -155,14 +157,14 @@ class Limits(Table):
 
 
 class Frames(Table):
-    """Limits on errors of activation in slots that stimulate several points."""
+    """Slots that stimulate several points: whether they are allowed, and how exact they must be."""
 
     other: float = Field(default=0.3, gt=0, le=1)
-    """Largest accepted off-target: the activation of any other class, divided by the activation of
-    the weakest target. The paper's SAI kernel for line electrodes reaches 0.30."""
+    """Largest accepted off-target value: the largest activation of any other class, divided by the
+    activation of the weakest target. The paper's SAI kernel for line electrodes reaches 0.30."""
     spill: float = Field(default=0.3, gt=0, le=1)
-    """Largest accepted spill: the activation of the targets' class at places more than a pitch from
-    every target, divided by the activation of the weakest target."""
+    """Largest accepted spill. Spill is the largest activation of the targets' class farther than
+    one pitch from every target, divided by the activation of the weakest target."""
     uneven: float = Field(default=0.05, gt=0, le=0.5)
     """Largest relative deviation of a target from its requested activation."""
     share: bool | None = None
@@ -179,13 +181,13 @@ class PerceptThresholds(Table):
     comfort_ma: tuple[Positive, ...] | None = None
     """Measured comfort level of each electrode; by default ``threshold_ma`` × ``comfort_ratio``."""
     ra_shift_mm: tuple[Number, Number] = (0.0, 0.0)
-    """Shift from the stimulated point to the place where RA is perceived, right and down."""
+    """Shift [right, down] from the stimulated point to the place where RA is perceived."""
     sai_shift_mm: tuple[Number, Number] = (0.0, 0.0)
-    """Shift from the stimulated point to the place where SAI is perceived, right and down."""
+    """Shift [right, down] from the stimulated point to the place where SAI is perceived."""
     pc_shift_mm: tuple[Number, Number] = (0.0, 0.0)
-    """Shift from the stimulated point to the place where PC is perceived, right and down. PC is
-    perceived at the receptor, 1 to 3 mm toward the fingertip from the stimulated axon (paper,
-    Section III-B.4)."""
+    """Shift [right, down] from the stimulated point to the place where PC is perceived. PC is
+    perceived at the receptor, which is 1 to 3 mm closer to the fingertip than the stimulated axon
+    (paper, Section III-B.4)."""
 
 
 class CommandDefaults(Table):
@@ -230,8 +232,8 @@ class Skin(Table):
     sai_angles_deg: tuple[float, ...] = Field(min_length=1)
     """Directions of horizontal axons. SAI mode targets axons of the first direction."""
     node_spacing_mm: Positive
-    """Distance between the nodes at which the design of kernels checks off-target and spill, mm.
-    Arrays of up to 200 electrodes need 0.25 mm or less."""
+    """Distance between neighboring nodes. The design of kernels checks off-target and spill at
+    these nodes. Arrays of up to 200 electrodes need 0.25 mm or less."""
     ra_ending: Literal["passive", "active"] = "passive"
     """Whether the ending of a rising axon can fire. This determines the polarity of RA mode."""
     internode_mm: Positive = 0.079
@@ -242,5 +244,6 @@ class Kernels(Table):
     """Design of kernels."""
 
     neighbors: int | None = Field(default=None, ge=9, le=1024)
-    """Limit a kernel to this number of electrodes, nearest to the site; by default, no limit. With
-    64, the design of kernels for thousands of electrodes takes minutes."""
+    """Largest number of electrodes in a kernel, which then uses the electrodes nearest to the site.
+    By default, there is no limit. With 64, the design of kernels takes only minutes even for
+    thousands of electrodes."""

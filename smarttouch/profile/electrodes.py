@@ -39,7 +39,7 @@ class ElectrodeArray:
     shape: Shape = "disc"
     # Annulus: outer and inner diameter; disc: diameter and 0; rectangle: width and height.
     size_mm: tuple[float, float] = (1.0, 0.0)
-    # Shape and size of each electrode, if they differ. Electrode 0 has `shape` and `size_mm`.
+    # If electrodes differ, the shape and size of each. Electrode 0 has `shape` and `size_mm`.
     own: tuple[tuple[Shape, tuple[float, float]], ...] | None = None
 
     def __post_init__(self) -> None:
@@ -79,7 +79,7 @@ class ElectrodeArray:
 
     @cached_property
     def kinds(self) -> dict[tuple[Shape, tuple[float, float]], NDArray[np.intp]]:
-        """Electrodes by shape and size, in order of first occurrence."""
+        """For each shape and size that occurs, the electrodes that have this shape and size."""
         sites: dict[tuple[Shape, tuple[float, float]], list[int]] = {}
         for site, kind in enumerate(self.own or ((self.shape, self.size_mm),) * len(self)):
             sites.setdefault(kind, []).append(site)
@@ -226,8 +226,8 @@ class FreeLayout(Table):
     """Size that all electrodes have: [diameter, 0] for a disc, [outer, inner diameter] for an
     annulus, [width, height] for a rectangle."""
     shapes: tuple[Literal["point", "disc", "annulus", "rectangle"], ...] | None = None
-    """Shape of each electrode, if they differ; requires ``sizes_mm``. An annulus can surround
-    another electrode (paper, Section III-C)."""
+    """Shape of each electrode, unless all electrodes are equal; requires ``sizes_mm``. An annulus
+    can surround another electrode (paper, Section III-C)."""
     sizes_mm: tuple[tuple[float, float], ...] | None = None
     """Size of each electrode, as in ``size_mm``; requires ``shapes``."""
 
@@ -305,9 +305,7 @@ USUAL_DIAMETER_MM = 1.0
 
 def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
     """Return a layout of discs from coordinates, (E, 2), or coordinates and diameters, (E, 3), mm.
-
-    A CSV file has columns ``x_mm``, ``y_mm`` and optionally ``diameter_mm``.
-    """
+    A CSV file has columns ``x_mm``, ``y_mm`` and optionally ``diameter_mm``."""
     if isinstance(table, Path | str):
         path = Path(table)
         columns = read_csv(path, ProfileError, ("x_mm", "y_mm"), ("diameter_mm",), rising=False)

@@ -22,9 +22,10 @@ def require_in_band(ratio: float, what: str) -> None:
 def measured_scale(
     kind: str, before_ua: float | None, volts: float, ohm: float, current_ma: float
 ) -> tuple[float, float | None]:
-    """Return a ratio and the new scale, µA per count. The ratio is the measured current, ``volts``
-    / ``ohm``, divided by ``current_ma``. The new scale is ``before_ua`` times the ratio, or None
-    without ``before_ua``. Raises BoardError if a result is implausible (see `require_in_band`)."""
+    """Return the ratio of the measured to the requested current, and the new scale, µA per count.
+    The measured current is ``volts`` / ``ohm``, the requested current is ``current_ma``. The new
+    scale is the ratio times the old scale, ``before_ua``; it is None if the old scale is None.
+    Raises BoardError if a result is implausible (see `require_in_band`)."""
     for what, value in (("volts", volts), ("ohm", ohm), ("current_ma", current_ma)):
         if not 0 < value < math.inf:
             raise BoardError(f"{what} {value:g} must be above 0 and finite")

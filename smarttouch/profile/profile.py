@@ -181,11 +181,9 @@ class Profile(Table):
 
     @property
     def total_ma(self) -> float:
-        """Largest total current of all cathodes in a slot, mA.
-
-        On a board with a single source, the total is limited to the current of one electrode,
-        because one electrode carries all current if the others lose contact.
-        """
+        """Largest total current of all cathodes in a slot, mA. On a board with a single source, the
+        total is limited to the current of one electrode, because one electrode carries all current
+        if the others lose contact."""
         limits = self.limits
         total = limits.total_ma or CEILING_TOTAL_MA
         if self.output.kind == "weighted":
@@ -194,11 +192,9 @@ class Profile(Table):
 
     @property
     def design_total_ma(self) -> float | None:
-        """Limit of a kernel's total current in kernel design, mA, or None.
-
-        It is None if each slot has a single point and the profile's limit is not below the
-        project's ceiling. In this case, `PointSlots` refuses kernels above the ceiling.
-        """
+        """Limit of the total current of a kernel while kernels are designed, mA; None for no limit.
+        There is no limit if each slot has a single point and the profile's limit equals the
+        project's ceiling. `PointSlots` then refuses kernels above the ceiling."""
         total = self.limits.total_ma or CEILING_TOTAL_MA
         return total if self.shares or total < CEILING_TOTAL_MA else None
 
@@ -263,8 +259,9 @@ class Profile(Table):
 
         Notes
         -----
-        Electrodes get this profile's smallest threshold, comfort level and limit, and its largest
-        impedance. Masks, wiring, electrode calibrations and command defaults are removed.
+        All electrodes get the smallest threshold, smallest comfort level, smallest current limit
+        and largest impedance that an electrode of this profile has. Masks, wiring, electrode
+        calibrations and command defaults are removed.
 
         Examples
         --------
@@ -377,7 +374,7 @@ def stricter(own: Profile, other: Profile) -> Profile:
         limits["electrode_ma"] = tuple(each_ma.tolist())
     own_ma = own.full_ma.astype(np.float64)
     full_ma = np.minimum(np.minimum(matched(other.full_ma), each_ma), most_ma)
-    # Currents have single precision, so round lowered currents down to whole µA.
+    # Single precision can round a current up, so first round lowered currents down to whole µA.
     lower = full_ma < own_ma * (1 - 1e-6)
     full_ma = np.where(lower, np.floor(1000 * full_ma - 1e-3) / 1000, own_ma)
     threshold_ma = np.minimum(own.threshold_ma, matched(other.threshold_ma))
@@ -385,7 +382,7 @@ def stricter(own: Profile, other: Profile) -> Profile:
     if lower.any():
         perception["comfort_ma"] = tuple(full_ma.tolist())
     if (threshold_ma < own.threshold_ma).any():
-        # Set ``comfort_ma``: otherwise, comfort levels would follow the lower thresholds.
+        # Write ``comfort_ma``: otherwise, comfort levels would fall with the lowered thresholds.
         perception |= {
             "threshold_ma": tuple(threshold_ma.tolist()),
             "comfort_ma": tuple(full_ma.tolist()),
@@ -395,6 +392,7 @@ def stricter(own: Profile, other: Profile) -> Profile:
     tables = {"limits": limits, "pulse": pulse, "perception": perception, "output": output}
     if all(table == getattr(own, name).model_dump() for name, table in tables.items()):
         return own
-    # Set ``share``: otherwise, a new ``limits.total_ma`` would allow several points in a slot.
+    # Write ``share``. By default, it depends on whether ``limits.total_ma`` is given, so adding
+    # this limit would allow several points in a slot.
     frames = own.frames.model_dump() | {"share": own.shares}
     return own.model_copy(update={**tables, "frames": frames})

@@ -43,9 +43,8 @@ def read_levels(profile: Profile) -> list[SettledLevel]:
 
 
 class SettledLevels:
-    """Log of the comfortable levels of a run. For each mode, it offers a level of an earlier run.
-
-    An offered level gives the logged current. A level above ``most`` is not offered."""
+    """Log of a run's comfortable levels. For each mode, it also offers the level that gives the
+    current last logged in this mode. A level above ``most`` is not offered."""
 
     def __init__(self, profile: Profile, most: float) -> None:
         self._profile, self._full_ma = profile, float(profile.full_ma.max())
@@ -61,8 +60,9 @@ class SettledLevels:
     def note(
         self, time_ns: int, mode: str, level: float, force_n: float, observed: Sequence[Any] = ()
     ) -> str:
-        """Process a step. ``observed`` has measured sequences, each with its voltages, (S,) V.
-        Return an offer if the mode has changed and a level is logged for it, otherwise ""."""
+        """Process a step. ``observed`` has the sequences that were measured in the step, each with
+        its voltages, (S,) V. If the mode has changed, and there is a level to offer in the new
+        mode, return a sentence that offers this level. Otherwise, return ""."""
         begins = mode != self._asked[0] and mode in self.offered
         for sequence, volts in observed:
             peak_ua = np.abs(sequence.current_ua.astype(np.float64)).max(axis=1, initial=1)

@@ -30,7 +30,7 @@ def list_profiles() -> list[str]:
 
 
 COARSEST_MM = 0.25  # largest ``skin.node_spacing_mm`` of arrays with up to `MOST_FINE` electrodes
-MOST_FINE = 200  # at a spacing of `COARSEST_MM`, larger arrays would need too much memory
+MOST_FINE = 200  # with more electrodes, a spacing of `COARSEST_MM` would need too much memory
 
 
 def load_profile(name: str | Path | Profile) -> Profile:
@@ -54,9 +54,9 @@ def load_profile(name: str | Path | Profile) -> Profile:
     skin, small = profile.skin, len(profile.electrodes) <= MOST_FINE
     if skin.medium != "plane" and skin.node_spacing_mm > COARSEST_MM and small:
         raise ProfileError(
-            f"{path}: skin.node_spacing_mm {skin.node_spacing_mm:g} is too coarse: between "
-            "nodes, activation of other classes is a third larger than at nodes; set 0.1 (at most "
-            f"{COARSEST_MM:g})",
+            f"{path}: skin.node_spacing_mm {skin.node_spacing_mm:g} is too coarse, because "
+            "activation of other classes is a third larger between nodes than at nodes: set it to "
+            f"0.1, or to {COARSEST_MM:g} at most",
             key="skin.node_spacing_mm",
         )
     return profile

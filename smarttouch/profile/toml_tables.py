@@ -11,8 +11,8 @@ from smarttouch.base.files import read_toml
 
 
 class UnfitError(ValueError):
-    """Error about an inconsistent value in a profile. Loading a file converts this error to a
-    `ProfileError` with the same attributes. Without ``key``, pydantic reports the key."""
+    """Error about an inconsistent value in a profile. Loading a file converts it to a
+    `ProfileError` with the same attributes. By default, ``key`` is the key from pydantic."""
 
     def __init__(self, message: str, **attributes: Any) -> None:
         super().__init__(message)
