@@ -59,8 +59,8 @@ class DisplayContent:
     def first_new(self, before: "DisplayContent") -> int | None:
         """Return the index of the first cell to present; None if nothing but the cursor changed.
 
-        If the cursor is at the first changed cell or directly after it, the user is typing. The
-        first cell to present is then the changed cell, and otherwise the first cell of the line.
+        If the cursor is at the first changed cell or directly after it, the user is typing. In this
+        case, return the index of the first changed cell. Otherwise, return 0 (start of the line).
         """
         size = max(len(self.cells), len(before.cells))
         now, former = (content.cells.ljust(size, BLANK) for content in (self, before))
@@ -72,10 +72,8 @@ class DisplayContent:
 
 
 def parse_message(line: bytes) -> tuple[str, str]:
-    """Parse a message: return its kind, ``Visual`` or ``Braille``, and its text or cells.
-
-    Returns two empty strings if the line is not a message.
-    """
+    """Parse a message: return its kind, ``Visual`` or ``Braille``, and its text or cells. Returns
+    two empty strings if the line is not a message."""
     match = _MESSAGE.fullmatch(line.decode("utf-8", "replace"))
     kind, content = match.groups() if match else ("", "")
     if kind != "Braille":
@@ -90,8 +88,9 @@ def parse_message(line: bytes) -> tuple[str, str]:
 class BrailleDisplaySource(StimulusSource):
     """Source of the cells that BRLTTY shows, with one electrode for each dot.
 
-    After a change, cells are presented from the first new cell to the last. If only the cursor
-    moved, they are presented from the cursor. Without a connection, nothing is presented.
+    After a change, the finger moves over the cells up to the end of the line. It starts at the cell
+    that `DisplayContent.first_new` returns. If only the cursor moved, it starts at the cursor.
+    Without a connection, nothing is presented.
 
     Parameters
     ----------
@@ -208,8 +207,8 @@ class BrailleDisplaySource(StimulusSource):
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
-        """Functions by key, which send commands to BRLTTY or move the finger; callable from any
-        thread."""
+        """The function of each key. The functions send commands to BRLTTY or move the finger. Any
+        thread can call them."""
         commands = {"right": "fwinrt", "left": "fwinlt", "n": "lndn", "p": "lnup", "h": "home"}
         return {
             **{key: partial(self.send, command) for key, command in commands.items()},
@@ -231,12 +230,12 @@ class BrailleDisplaySource(StimulusSource):
         light = np.where(self._dots, 0, 255).astype(np.uint8)
         grey = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_NEAREST), np.uint8)
         top_mm = self._jumps * (rows * down + LINE_GAP_MM) - rows * down / 2
-        # Neither term decreases, so each jump and each update gives the sheet a new number.
+        # A jump or an update increases one of these counts, so the sheet gets a new number.
         number = self._jumps + self._taken.number
         return Sheet(number, Page(grey, across / _DOT_PX), (0.0, top_mm))
 
     def read(self, time_ns: int) -> Stimulus | None:
-        """Return a stimulus with the dots under the array. Without a connection, it is stale."""
+        """Return a stimulus with the dots under the array, marked as stale without a connection."""
         shown, age_ns = self.shown, 0
         elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
         self._before_ns = time_ns
@@ -279,7 +278,7 @@ class BrailleDisplaySource(StimulusSource):
         self._first, self._since_s = cell, 0.0
 
     def _take(self, shown: DisplayContent) -> None:
-        """Store new content, and go to its first new cell."""
+        """Store new content, and go to the first cell to present."""
         before, self._taken = self._taken, shown
         if shown.number == before.number:
             return
@@ -298,8 +297,8 @@ class BrailleDisplaySource(StimulusSource):
             self._go_to(new)
 
     def _step(self) -> int:
-        """Return the column of dots in the array's middle. It stops `margin` columns after the
-        text."""
+        """Return the index of the column of dots that is in the middle of the array. It increases
+        with time until it is `margin` columns after the text."""
         moved_s = max(0.0, self._since_s - REST_S)
         step = self._first * self.layout.cell + int(moved_s * self._columns_a_s + 1e-6)
         return min(step, self._dots.shape[1] + self.layout.margin)

@@ -63,9 +63,7 @@ def normalize(text: str) -> str:
 
 def character_error_rate(truth: str, text: str) -> float:
     """Return the Levenshtein distance of normalized texts, divided by the length of the true text.
-
-    The rate is 0 for equal texts, and can exceed 1 if ``text`` is longer than ``truth``.
-    """
+    The rate is 0 for equal texts, and can exceed 1 if ``text`` is longer than ``truth``."""
     wanted = normalize(truth)
     if not wanted:
         raise ReadingError("the text to compare with is empty: give the text of the page")
@@ -148,7 +146,7 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
 
 def deliver_lines(lines: Sequence[TouchLine], reading: LineDelivery) -> Iterator[DeliveredLine]:
     """Deliver lines on all cores; yield each when it is done."""
-    # Starting a process takes longer than delivering a single line.
+    # Deliver a single line in this process, because starting another process takes longer.
     work = Parallel(n_jobs=-1 if len(lines) > 1 else 1, return_as="generator", max_nbytes=None)
     yield from work(delayed(deliver_pulses)(line, reading) for line in lines)
 
@@ -231,16 +229,14 @@ def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
 _PERIODS = 10
 """Number of periods for each letter. Noise and refractoriness change the spikes in each period."""
 _RAMP_US = MOST_STEP_NS // 1000
-"""Period of sequences while intensity rises. A longer period gives no larger rise per sequence."""
+"""Period of sequences while intensity rises. It is the longest useful period: with a longer one,
+the rise of intensity from one sequence to the next would be the same."""
 
 
 @dataclass(frozen=True)
 class LetterResponse:
-    """Response of one finger to one letter.
-
-    A model recognizes the letter: it compares the map of spikes with letter templates. Its errors
-    are not those of people.
-    """
+    """Response of one finger to one letter. A model recognizes the letter: it compares the map of
+    spikes with letter templates. Its errors are not those of people."""
 
     letter: str
     seed: int
@@ -301,8 +297,9 @@ def spikes_and_letter(
     known: Mapping[str, Floats],
     periods: int = _PERIODS,
 ) -> tuple[NDArray[np.intp], str]:
-    """Repeat ``slots`` for ``periods`` periods. ``above``, (A, S), is the drive of A afferents in S
-    slots. Return the spike counts, (A,), and the best-matching letter ("" without spikes)."""
+    """Simulate the spikes of A afferents while S slots are repeated for ``periods`` periods. The
+    array ``above``, (A, S), is the drive of each afferent in each slot. Return the spike count of
+    each afferent, (A,), and the letter that matches best, or "" if there are no spikes."""
     model.reset()
     counts = np.sum([model.fire(slots, above).counts for _ in range(periods)], axis=0)
     places = model.finger.profile.electrodes.position_mm

@@ -28,7 +28,8 @@ from smarttouch.reading.recognition import Note, recognized_lines
 from smarttouch.sources.source_contract import Frame
 
 ENOUGH_ROWS = 8
-"""Rows of electrodes that letters need. With 4 rows, half of the characters are unreadable."""
+"""Smallest number of rows of electrodes that is sufficient for letters. With 4 rows, half of the
+characters are unreadable."""
 INK_LEVEL = 128  # a pixel of a prepared page is ink if its gray level is below this
 NIB_PIXELS = PIXELS_PER_CELL - 1  # width of a thinned stroke
 _PLAIN = Tone(0.3, 0.3, prepared=True)
@@ -38,8 +39,9 @@ _GRADED = Tone(0.0, 1.0, prepared=True)
 _DRAWN = Tone(0.35, 0.35, prepared=True)
 """Tone curve of single letters, whose strokes are one cell wide."""
 UNKNOWN_LEVEL = 0.7
-"""Intensity for simulated fingers, relative to the comfort level. In the worse of two
-simulated anatomies, it gives the fewest errors (`examples/studies/reading_pages.py`)."""
+"""Intensity for simulated fingers, relative to the comfort level. Of all intensities that were
+tested with two simulated anatomies, it gives the fewest errors in the anatomy with more errors
+(`examples/studies/reading_pages.py`)."""
 
 
 @dataclass(frozen=True)
@@ -121,10 +123,8 @@ _DRAWN_PX = 400
 
 
 def draw_letter(letter: str, profile: Profile) -> NDArray[np.float32]:
-    """Return the activation for a letter that fills the array, (E,) float32, 0 or 1.
-
-    The letter is centered, keeps its proportions, and has strokes one electrode wide.
-    """
+    """Return the activation for a letter that fills the array, (E,) float32, 0 or 1. The letter is
+    centered, keeps its proportions, and has strokes one electrode wide."""
     _require_fewest_rows(profile, ExperimentError)
     window = profile_for_reading(profile)
     shape = (window.optics.sensor_rows, window.optics.sensor_columns)

@@ -27,7 +27,7 @@ SETTLE_S = 0.75
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
 LONGEST_PAUSE_S = 3600.0
 LINE_GAP_MM = 4.0
-"""Gap between lines on a sheet. Poses are places on the sheet. All lines are below each other."""
+"""Gap between lines on the sheet, which shows each line below the line before it."""
 AHEAD = 30  # largest number of lines prepared in advance
 BEHIND = 60  # number of past lines that are stored for going back
 _JOIN_S, _AGAIN_S = 0.3, 0.1
@@ -38,8 +38,8 @@ class TouchLine:
     """A line of letter shapes or Braille cells, at the size of the array."""
 
     image: NDArray[np.uint8]  # (H, W), dark on white, as high as the array
-    start_mm: float  # place of the array's center at the start, from the image's left edge
-    end_mm: float  # place of the array's center at the end
+    start_mm: float  # distance of the array's center from the image's left edge, when motion begins
+    end_mm: float  # the same distance, when the end of the line is reached
     text: str = ""
     cells: str = ""
 
@@ -58,8 +58,8 @@ class LineMotion:
 class ReadingSource(OpticalSource):
     """Source of images of lines that pass under the finger.
 
-    Poses are places on a sheet, at the scale of the array. On the sheet, all lines are below each
-    other. An error in ``lines`` is raised when the finger has read the lines before the error.
+    Poses are places on a sheet, at the scale of the array. On the sheet, each line is below the
+    line before it. If ``lines`` raises an error, `read` raises it after the last line.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ class ReadingSource(OpticalSource):
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """Functions by key: next and previous line, repeat, and pause."""
+        """The function of each key: next line, previous line, repeat, or pause."""
         steps = {"right": 1, "n": 1, "left": -1, "p": -1, "r": 0}
         keys = {key: partial(self._asked.append, step) for key, step in steps.items()}
         return {**keys, " ": self._toggle_pause}
@@ -242,7 +242,7 @@ class ReadingSource(OpticalSource):
         self.index, self._line_s = index, 0.0
 
     def _go_on(self, beyond_mm: float) -> None:
-        """Go to the next line after the pause. If pauses are infinite, the last line has none."""
+        """Go to the next line after the pause. After the last line, leave out an infinite pause."""
         pause_s = self._pause_s
         if pause_s == math.inf and self.line(self.index + 1) is None and self._is_over:
             pause_s = 0.0

@@ -60,10 +60,8 @@ class ReadingMaterial:
         return None
 
     def pages(self) -> Iterator[tuple[int, Page]]:
-        """Yield the number and the image of each page that the options select.
-
-        An assumed scale is not reported, because lines are scaled to the array anyway.
-        """
+        """Yield the number and the image of each page that the options select. An assumed scale is
+        not reported, because lines are scaled to the array anyway."""
         options = self.options
         with Document(
             Path(self.name),

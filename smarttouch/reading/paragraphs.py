@@ -11,13 +11,13 @@ import numpy as np
 from smarttouch.pages.page_image import TextLine
 from smarttouch.reading.recognition import Note
 
-_GAP = 1.35  # a paragraph begins after a larger line distance, relative to the page's median
+_GAP = 1.35  # smallest line distance before a new paragraph, relative to the page's median distance
 _LARGER = 1.2  # lines with a larger ratio of x-heights differ in size of print
 _INDENT = 0.8  # smallest indent of a paragraph, in x-heights
 _SAME_ROW_MM = 0.5  # largest vertical offset between lines that are side by side
 _EVEN = 0.5  # largest difference between the right ends of full lines, in x-heights
 _SHORT = 0.15  # a line is short if more than this share of the column is free after it
-_OPEN = 1 / 3  # lines stay separate if at least this share of them ends early and in mid-sentence
+_OPEN = 1 / 3  # lines are not joined if at least this share ends early and within a sentence
 _LONGEST_VERSE = 60  # a full line with more characters is not a line of verse
 _LEADERS = re.compile(r"(?:\s?[.·…‥•]){4,}\s*;?\s*(?=\S*\d\S*$|[ivxlc]{1,7}\W*$)")
 """Leader dots before a page number or a price. In a row of a table, a semicolon can follow them."""
@@ -108,8 +108,10 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
 
 
 def _keys(line: PrintedLine) -> Iterator[str]:
-    """Yield the keys of a line. Lines of one running head share a key. The first key is the text.
-    Further keys have # for one of the numbers, and end with this number minus the page number."""
+    """Yield the keys of a line. Lines of the same running head have a key in common. The first key
+    is the text. Each number in the text gives a further key: the text with # instead of the number,
+    then the number minus the number of the page. This difference is equal on all pages if the
+    number is a printed page number."""
     yield line.text
     for number in re.finditer(r"\d{1,5}", line.text):
         before, after = line.text[: number.start()], line.text[number.end() :]
@@ -143,7 +145,7 @@ def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
             current = None
             continue
         if k and line.page != lines[k - 1].page:
-            # A page can end with a footnote: continue the last paragraph of this line's print size.
+            # A page can end with a footnote, so continue the last paragraph with equal print size.
             alike = (earlier for earlier in reversed(joined) if lines[earlier.last].is_like(line))
             current = next(alike, None)
         text = _LEADERS.sub(" ", line.text)
@@ -188,7 +190,8 @@ class _Layout:
             self._classify(block)
 
     def _runs(self, parts: Callable[[PrintedLine, PrintedLine], bool]) -> Iterator[list[int]]:
-        """Yield runs of line indices. A page's end or a true ``parts(line, next)`` ends a run."""
+        """Yield runs of line indices. A run ends at the end of a page, and after a line for which
+        ``parts(line, next)`` is True."""
         run: list[int] = []
         for k, line in enumerate(self._lines):
             before = self._lines[k - 1]
@@ -200,8 +203,8 @@ class _Layout:
             yield run
 
     def _measure(self, column: Sequence[int], page: Sequence[PrintedLine]) -> None:
-        """Find the right margin of each line. The margin is where the longest line of the column in
-        the same size of print ends. Ignore lines that reach into the neighboring column."""
+        """Find the right margin of each line: the rightmost end of all lines in the same column
+        with the same size of print. Ignore lines that reach into the neighboring column."""
         lines = self._lines
         for k in column:
             near_mm = self._step_mm[lines[k].page] / 2
@@ -276,7 +279,8 @@ class _Layout:
         return self._ends(paragraph.last, k)
 
     def _is_item(self, paragraph: _Paragraph, k: int) -> bool:
-        """Return whether a line begins with an item's mark. Exclude marks inside of sentences."""
+        """Return whether a line begins with the mark of a list item. Within a sentence, a number or
+        a letter at the start of a line can look like a mark; it does not count."""
         text, before = self._lines[k].text, self._lines[paragraph.last].text
         mark = _MARK.match(text)
         return mark is not None and (

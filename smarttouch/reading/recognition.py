@@ -30,8 +30,8 @@ PAGE, BLOCK, _LINE = 3, 6, 7  # page segmentation modes of Tesseract
 LARGEST_SIDE = 32_000  # largest side, pixels; Tesseract's limit is 32,767
 _TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # time limit of a call, and extra time for each strip
 _WORD, _COLUMNS = "5", 12
-"""In Tesseract's table: level of words, and number of columns. The columns are level, page,
-block, paragraph, line, word, left, top, width, height, confidence and text."""
+"""In Tesseract's table: the value of column ``level`` in rows of words, and the number of columns:
+level, page, block, paragraph, line, word, left, top, width, height, confidence and text."""
 STRIP_MARGIN = 0.25
 """White margin around a strip, relative to its height. On noisy and blurred strips, it caused fewer
 errors than 0.15 and 0.45."""
@@ -43,7 +43,7 @@ _LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "
 """Tesseract's codes of languages written from right to left."""
 _FIRST, _LONGEST = 5, 3  # the first 5 and the longest 3 lines decide the orientation
 _UPRIGHT, _FEWEST_LETTERS = 0.7, 30
-"""Smallest mean confidence, and smallest number of letters, of a page that counts as upright."""
+"""A page counts as upright if mean confidence and number of letters are at least these values."""
 _MORE = 1.15  # a page is turned only if the number of recognized letters rises by this factor
 
 
@@ -93,7 +93,8 @@ def recognize_lines(strips: Sequence[NDArray[np.uint8]], languages: str = "eng")
 def _words(
     images: Sequence[NDArray[np.uint8]], languages: str, layout: int, timeout_s: float
 ) -> list[list[str]]:
-    """Return the rows of Tesseract's table that describe words; column 1 is the image's index."""
+    """Return those rows of Tesseract's table that describe words. Column 1 of a row is changed to
+    the index of the image that shows the word."""
     if not re.fullmatch(r"\w+(\+\w+)*", languages, re.ASCII):
         raise ReadingError(f"languages {languages!r}: give codes such as eng or eng+deu")
     shown = [k for k, image in enumerate(images) if image.size and image.min() < image.max()]
@@ -203,7 +204,7 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
         if shows_dots(page.grey):
             raise PageError(
                 f"page {number} shows Braille dots, and pictures of Braille cannot be read: give a "
-                "text or a .brf file, or leave the page out as in ?pages=1-3"
+                "text or a .brf file, or list only the other pages, for example ?pages=1-3"
             )
         with contextlib.suppress(ReadingError):
             prepared, turn_deg = _most_legible(page, prepared, options)
@@ -245,7 +246,7 @@ def _sampled(prepared: PreparedPage, options: RecognitionOptions) -> float:
 
 
 def _recognize(prepared: PreparedPage, indices: Iterable[int], options: RecognitionOptions) -> None:
-    """Recognize lines of a page that are not recognized yet, in one call."""
+    """Recognize those of the given lines that are not recognized yet, in one call of Tesseract."""
     unknown = [k for k in indices if k not in prepared.known]
     read = recognize_lines([_strip(prepared, k) for k in unknown], options.languages)
     prepared.known.update(zip(unknown, read, strict=True))
