@@ -95,8 +95,8 @@ def _cells(line: str, name: Path | str, line_number: int) -> str:
             kind = _NAMES.get(code) or (repr(code) if code.isprintable() else "a control code")
             raise BrailleError(
                 f"{name}, line {line_number}, column {column}: {number} is {kind}, not ASCII "
-                "Braille: export the file again as BRF or, if it is a text, give its name another "
-                f"ending than {Path(name).suffix or '.brf'}"
+                "Braille. Export the file again as BRF; if it is a text, rename it so that it "
+                f"does not end in {Path(name).suffix or '.brf'}"
             )
     return cells
 

@@ -10,7 +10,7 @@ from smarttouch.base.errors import BrailleError
 Pages: TypeAlias = list[list[str]]  # pages of lines of cells
 
 BLANK = "\u2800"
-"""The empty cell. A cell's code minus this code is its pattern, in which bit k is dot k + 1."""
+"""The empty cell. It has the smallest character code of all cells."""
 PATTERNS = 256
 SIX_DOT_PATTERNS = 64
 
@@ -24,7 +24,7 @@ def is_cell(character: str) -> bool:
 
 
 def pattern(cell: str) -> int:
-    """Return the dots of a cell as a number from 0 to 255; bit k is dot k + 1."""
+    """Return the dots of a cell as a number from 0 to 255. Bit k is 1 if the cell has dot k + 1."""
     return ord(cell) - ord(BLANK)
 
 

@@ -27,7 +27,8 @@ def shows_dots(grey: NDArray[np.uint8]) -> bool:
 
 
 def _dots(picture: cv2.typing.MatLike) -> NDArray[np.float64]:
-    """Return the centers of dark spots, (N, 2), or none unless most are round and equally large."""
+    """Return the centers of dark spots, (N, 2), if most of the spots are round and equally large.
+    Otherwise, return an empty array."""
     soft = cv2.GaussianBlur(picture, (0, 0), 1).astype(np.float32)
     depth = cv2.blur(soft, (31, 31)) - soft
     dark = (depth > max(4, depth.std())).astype(np.uint8)

@@ -8,16 +8,16 @@ from functools import cache, partial
 
 from smarttouch.braille.cells import BLANK
 
-# Rules and signs: International Council on English Braille, The Rules of Unified English
-# Braille, second edition (2013): letters and accents 4, numeric mode 6, punctuation 7, capitals 8,
-# superscripts and subscripts 11.3.
+# Source of rules and signs: The Rules of Unified English Braille, second edition (International
+# Council on English Braille, 2013). Sections: 4 letters and accents, 6 numeric mode,
+# 7 punctuation, 8 capitals, 11.3 superscripts and subscripts.
 _LETTERS = dict(zip("abcdefghijklmnopqrstuvwxyz", "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚⠅⠇⠍⠝⠕⠏⠟⠗⠎⠞⠥⠧⠺⠭⠽⠵", strict=True))
 _DIGITS = dict(zip("1234567890", "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚", strict=True))
 _ACCENTS = {
     "\u0300": "⠘⠡", "\u0301": "⠘⠌", "\u0302": "⠘⠩", "\u0303": "⠘⠻", "\u0308": "⠘⠒",
     "\u030a": "⠘⠫", "\u030c": "⠘⠬", "\u0327": "⠘⠯",
 }  # fmt: skip
-"""Cells of each accent, by combining mark. They are placed before the cells of the letter."""
+"""Cells of each accent; the key is its combining mark. They precede the cells of the letter."""
 _SIGNS = {
     " ": BLANK, ".": "⠲", ",": "⠂", ";": "⠆", ":": "⠒", "!": "⠖", "'": "⠄", "-": "⠤",
     "–": "⠠⠤", "—": "⠠⠤", "‘": "⠠⠦", "’": "⠠⠴", "«": "⠸⠦", "»": "⠸⠴",
@@ -33,7 +33,8 @@ _SCRIPT = re.compile(
     r"((?<=[\w)])\^|(?<=(?<![^\W\d_])[^\W\d_])_|(?<=[A-Z)])_)"
     r"(\d+(?:[.,]\d+)*|[a-z](?![^\W\d_])|[-−]\d+|\((?:[^\W_]|[-−+=., ])+\))"
 )
-"""Superscript, as in 10^6 and a^(n+1), or subscript after a single letter or a capital."""
+"""Superscript, as in 10^6 and a^(n+1), or subscript. A subscript must follow a single letter, a
+capital or a closing parenthesis."""
 _SCRIPT_CELLS = re.compile("⠰?([⠔⠢])(?:(⠼[⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚]+(?:[⠂⠲][⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚]+)*)|⠣((?:(?!⠜).)+)⠜|(.))")
 _NUMBER_AT_END = re.compile("⠼[⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚⠂⠲]+$")
 _DIGIT_AT_START = re.compile("^([⠂⠲]*)(?=[⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚])")
@@ -162,9 +163,9 @@ Translator = Callable[[str], str]
 def encode_scripts(
     line: str, encode: Translator, encode_item: Translator, encode_rest: Translator | None = None
 ) -> str:
-    """Translate a line by ``encode``, but superscripts and subscripts to technical notation.
-    ``encode_item`` translates the content of a superscript or subscript, and ``encode_rest``
-    (default: ``encode``) the text after it."""
+    """Translate a line by ``encode``, but write superscripts and subscripts in technical notation.
+    ``encode_item`` translates the content of a superscript or subscript. ``encode_rest`` (default:
+    ``encode``) translates the text that follows a superscript or subscript."""
     cells, end = "", 0
     for script in _SCRIPT.finditer(line):
         item = encode_item(script[2].strip("()")).replace("⠐⠤", "⠤").replace("⠤", _MINUS)
@@ -185,10 +186,9 @@ def _joined(before: str, after: str) -> str:
 
 
 def decode_scripts(cells: str, decode: Translator) -> str:
-    """Translate cells by ``decode``, and technical notation to superscripts and subscripts.
-
-    The same cells can be contractions. After a number or a grade 1 indicator, they are notation.
-    """
+    """Translate technical notation to superscripts and subscripts, and all other cells by
+    ``decode``. Cells of technical notation can also be contractions. They are technical notation
+    only after a number or a grade 1 indicator."""
     text, end = "", 0
     for match in _SCRIPT_CELLS.finditer(cells):
         is_sure = match[0][0] == _GRADE_1 or _NUMBER_AT_END.search(cells, 0, match.start())
@@ -236,7 +236,8 @@ def _letter(character: str) -> str:
 
 
 def _capitals(text: str) -> tuple[dict[int, str], dict[int, str]]:
-    """Return capital indicators by character index: those before and those after a character."""
+    """Return two dicts from the index of a character to a capital indicator. The indicators of the
+    first dict come before the character, those of the second dict after it."""
     before, after = {}, {}
     capital = [_is_letter(character) and character.isupper() for character in text]
     for is_capital, run in itertools.groupby(range(len(text)), capital.__getitem__):

@@ -17,7 +17,7 @@ JOINERS = "\u200c\u200d"
 """Invisible joiners, which have cells in some codes."""
 _LIBRARIES = ("liblouis.so.20", "liblouis.so", "liblouis.20.dylib", "liblouis.dylib")
 
-_DOTS = 0x8000  # liblouis' code of the blank cell when it decodes cells (LOU_DOTS)
+_DOTS = 0x8000  # code for the blank cell in cells that liblouis decodes (LOU_DOTS of liblouis)
 _DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128  # values of ``translationModes`` in liblouis.h
 _LOG_OFF = 60000
 _LONGEST_NAME = 200
@@ -32,7 +32,8 @@ _TAG_OF = {"zh": "cmn-Hans", "cmn": "cmn-Hans", "nb": "no", "nn": "no"}
 _PLAIN_KINDS = (" contraction:no dots:6", " contraction:no", " grade:1")
 _PLAIN_ENDS = ("-g0.utb", "-g0.ctb", "-g1.utb", "-g1.ctb", ".utb", ".ctb", ".tbl")
 _TEST_LETTERS = {"he": "אבג"}
-"""Letters of the decoding test (default: abc). A Hebrew table may decode only abc."""
+"""Letters of the decoding test, by language; abc for all other languages. A Hebrew table may decode
+abc, but no Hebrew letters."""
 
 _lock = threading.Lock()  # liblouis has global state
 
@@ -98,8 +99,9 @@ def has_table(table: str) -> bool:
 
 
 def find_table(language: str) -> str | None:
-    """Return the file name of the table with fewest contractions for a tag such as ``pt-BR``. If no
-    table is for the country (BR), return a table of the language (pt)."""
+    """Return the file name of the table for a language tag such as ``pt-BR``. If there are several
+    tables, return the table with the fewest contractions. If there is no table for the country
+    (BR), return a table for the language (pt)."""
     tag = _TAG_OF.get(language) or _TAG_OF.get(language.partition("-")[0]) or language
     main_language = tag.partition("-")[0].lower()
 

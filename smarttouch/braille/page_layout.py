@@ -17,11 +17,9 @@ CONTINUED = "⠐"
 def lay_out(
     paragraphs: Sequence[str], columns: int = COLUMNS, rows: int = ROWS, indent: int = INDENT
 ) -> Pages:
-    """Lay out paragraphs of cells as pages of lines; an empty paragraph is an empty line.
-
-    Blank cells around a paragraph are replaced by ``indent`` blank cells before it. Without an
-    indent, `join` cannot separate paragraphs.
-    """
+    """Lay out paragraphs of cells as pages of lines; an empty paragraph becomes an empty line.
+    Blank cells at both ends of a paragraph are removed, and ``indent`` blank cells are put before
+    its first line. If ``indent`` is 0, `join` cannot find the paragraphs again."""
     if columns < indent + 2 or rows < 1:
         raise BrailleError(
             f"a page of {columns} x {rows} cells is too small: give at least {indent + 2} columns "

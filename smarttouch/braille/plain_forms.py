@@ -20,7 +20,7 @@ _FORMS = QUIET | {
     "}": ")", "`": "'", "°": " degrees ", "§": "section ", "©": "(c)", "®": "(R)", "№": "No.",
     "¡": "", "¿": "", **dict.fromkeys("•◦▪‣●○■□▸►❖➢⁃\uf0b7\uf0a7\uf0d8\uf0fc\uf076", "*"),
 }  # fmt: skip
-"""Plain forms that Unicode does not define. Some codes of bullets are private to symbol fonts."""
+"""Plain forms that Unicode does not define. Some bullets have codes that only symbol fonts use."""
 _LATIN = re.compile(r"LATIN (SMALL|CAPITAL) (?:LETTER|LIGATURE) ([A-Z]{1,2})(?: WITH .*)?")
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (?:.* )?([A-Z]+?)(?: SYMBOL)?(?: WITH .*)?")
 
