@@ -1,4 +1,4 @@
-"""Pictures of the page that a finger touched and, below the page, of the delivered pulses."""
+"""Pictures that show the page under a finger and, below the page, the delivered pulses."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -29,7 +29,7 @@ FINEST_MM = 0.1
 _WIDTH = (900, 1400)  # smallest and largest width of a picture, pixels
 _MARGIN, _LABEL = 24, 28
 _DOT_PART = 0.8  # diameter of an electrode's dot, relative to the electrode's cell
-_STEPWISE_FROM = 5  # if a pose lasts this many sequences on average, the finger moves in steps
+_STEPWISE_FROM = 5  # smallest mean number of sequences at each pose, if the finger moves in steps
 _SCALE_PART = 0.2  # largest width of the scale bar, relative to the picture
 _SCALES_MM = (100, 50, 20, 10, 5, 2, 1, 0.5)
 Grey = NDArray[np.uint8]
@@ -37,8 +37,8 @@ Place = tuple[float, float]
 Places = NDArray[np.floating]
 Ink = int | tuple[int, int, int]
 Under = tuple[str, Place, Place, Callable[[tuple[int, int], float], Grey] | None]
-"""Title of a picture, top left corner and size of the touched area in mm, and a function or None.
-The function draws what lay in the area. It takes a shape in pixels and a pixel size in mm."""
+"""Title of a picture; top left corner of the touched area, mm; size of this area, mm; and a
+function that draws it from a shape in pixels and a pixel size in mm. None omits the picture."""
 
 
 _DARK_QUANTILE = 0.999
@@ -137,7 +137,7 @@ class DeliveredDrawing(ABC):
         """Describe the touched area. Raises SmartTouchError if nothing was touched."""
 
     def watch(self, sent: StepResult) -> None:
-        """Record the pose and the period of a step that was sent with current."""
+        """If a scan sequence was sent with current, record its period and the finger's pose."""
         if sent.number is not None and sent.sequence.intensity > 0:
             self.poses[sent.number] = sent.input.pose
             self._period_us[sent.number] = sent.sequence.period_us
@@ -184,7 +184,7 @@ class DeliveredDrawing(ABC):
             return as_ink(
                 raster.mean(lambda raster_plane: np.asarray(cv2.blur(raster_plane, (wide, high))))
             )
-        # The finger moves in steps: draw round dots, so that the dots of a Braille cell stay apart.
+        # The finger moves in steps. Draw small round dots, so that Braille dots do not merge.
         sides = [max(1, round(_DOT_PART * side)) for side in (wide, high)]
         dot = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, sides).astype(np.float32)
         return as_ink(
@@ -295,13 +295,13 @@ class PageDrawing(DeliveredDrawing):
         self._sheet, self._sheets = sheet, dict[int, Sheet]()
 
     def watch(self, sent: StepResult) -> None:
-        """Record the pose of a step, and the page or line under the finger."""
+        """Record the step, and the page or line under the finger."""
         super().watch(sent)
         if (sheet := self._sheet()) is not None:
             self._sheets[sheet.number] = sheet
 
     def under(self) -> Under:
-        """Describe the area of the pages; without pages, the area that the electrodes touched."""
+        """Describe the area of all touched pages. Without pages, describe the electrodes' area."""
         if not (self._sheets or self.poses):
             raise SmartTouchError("nothing to draw, as no pulse was delivered: raise the intensity")
         places_mm = [self.places_mm(pose) for pose in self.poses.values()]
@@ -350,7 +350,7 @@ class DeliveredPicture(Listener):
     def prepare(self, run: RunContext) -> None:
         """Check the file name and the board. A source without a drawing gets a `PageDrawing`."""
         if self.path.suffix.lower() not in ("", ".png"):
-            raise SmartTouchError(f"cannot draw {self.path}: name it *.png")
+            raise SmartTouchError(f"cannot draw {self.path}: its name must end in .png")
         load_anatomy(self._anatomy)
         if not isinstance(run.board.driver, SimulatedDriver):
             raise SmartTouchError(
@@ -366,7 +366,7 @@ class DeliveredPicture(Listener):
             self._drawing = PageDrawing(run.profile, run.bank, afferents, lambda: run.source.sheet)
 
     def step(self, result: StepResult) -> None:
-        """Record the pose of the finger and the period."""
+        """If a scan sequence was sent with current, record its period and the finger's pose."""
         if self._drawing is not None:
             self._drawing.watch(result)
 

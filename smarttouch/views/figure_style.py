@@ -34,7 +34,7 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
 def require_drawable(path: Path) -> None:
     """Raise SmartTouchError if the file format is unknown or matplotlib is missing."""
     if path.suffix.lower().lstrip(".") not in FORMATS:
-        raise SmartTouchError(f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}")
+        raise SmartTouchError(f"cannot draw {path}: its name must end in .{' or .'.join(FORMATS)}")
     new_figure(1, 1)
 
 

@@ -83,8 +83,8 @@ def _reach_mm(profile: Profile) -> Array:
 
 
 def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
-    """Return for each class the activating function at ``places``, (..., 2), for 1 mA through one
-    electrode alone: an array (D, ..., E) for D fiber directions and E electrodes."""
+    """For each class, return an array (D, ..., E) for D fiber directions and E electrodes. It holds
+    the activating function at ``places``, (..., 2), if 1 mA flows through that electrode alone."""
     skin = profile.skin
     per_ma = {}
     for shown in Afferent:
@@ -97,7 +97,7 @@ def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
 
 
 def _activation(per_ma: Array, kernel: Kernel) -> Array:
-    """Return a kernel's activating function at each place: the largest of all directions."""
+    """Return a kernel's activating function at each place: its largest value in any direction."""
     return np.asarray((per_ma @ kernel.weights).max(axis=0))
 
 

@@ -38,7 +38,7 @@ class Output:
 
     def __init__(self, stream: Any) -> None:
         self.number: int | None = None
-        """Descriptor for non-blocking writes while output is buffered; otherwise None."""
+        """File descriptor for non-blocking writes. It is None unless output is buffered."""
         self.waiting = bytearray()
         self.failure: OSError | None = None
         self._stream = stream

@@ -31,7 +31,7 @@ _REFRESH_S = 0.2
 _LEAST_REST = 20  # after a redraw, pause at least this many times as long as the redraw took
 _KEYS = "+ − intensity    0 off    space pause    m mode    q, Esc end"
 _ROOMY = 20  # in a terminal of at least this many rows, an event may take two rows
-_LEAST_PICTURE = 9  # smallest height of the pictures with titles, rows
+_LEAST_PICTURE = 9  # smallest number of terminal rows for the pictures and their titles
 _NAME = 9
 _CLOSES_WITHIN_S = 1.0  # longest wait for the terminal at the end
 
@@ -40,9 +40,8 @@ Rows = tuple[tuple[str, str], ...]
 
 class Screen(Listener):
     """Terminal view of a run, with keys and a summary. A separate thread draws, so that pulses and
-    keys do not wait for the terminal. With ``plain``, or without a terminal, the view prints
-    a line for each event and for each new title of the source. ``keys_of`` returns the function
-    that receives keys."""
+    keys do not wait for the terminal. With ``plain``, or without a terminal, the view prints a line
+    for each event and each new title of the source. ``keys_of`` returns the receiver of keys."""
 
     def __init__(
         self,
@@ -226,7 +225,7 @@ class Screen(Listener):
         wide = max(len(title), *(sum(len(words) for words, _ in row) for row in pictured))
         beside = max(2, width - 3 - wide)
         merged = self._array.merged(beside, rows)
-        what = f"{sent.step.mode} electrodes" + f", {merged} × {merged} per dot" * (merged > 1)
+        what = f"{sent.step.mode} electrodes" + f", {merged**2} electrodes per dot" * (merged > 1)
         drawn = self._array.draw(electrodes, beside, rows)
         # Add empty rows, so that the height is constant.
         for picture in (pictured, drawn):
@@ -288,18 +287,18 @@ class Screen(Listener):
 
 
 def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:
-    """Describe the latency to the first pulse or, if unknown, to the last byte sent."""
+    """Describe the time from the image to its first pulse or, if unknown, to its last byte sent."""
     if pulse is not None:
-        return f"{pulse.latency_us / 1e3:.1f} ms, to first pulse"
+        return f"image to first pulse {pulse.latency_us / 1e3:.1f} ms"
     known_ms = sent.step.input.age_ns / 1e6 + sent.latency_us / 1e3
-    return f"{known_ms:.1f} ms, to last byte"
+    return f"image to last byte {known_ms:.1f} ms"
 
 
 def _beside(other: float, spill: float) -> str:
-    """Describe the largest off-target and spill of slots with several points."""
+    """Describe the largest activation of other classes and places in slots with several points."""
     if not other and not spill:
         return "no points share a slot"
-    return f"{other:.0%} off-target, {spill:.0%} spill"
+    return f"other classes {other:.0%}, places {spill:.0%}"
 
 
 def bar(part: float, width: int = 10) -> str:
@@ -308,8 +307,8 @@ def bar(part: float, width: int = 10) -> str:
 
 
 class _Rows:
-    """Rows of styled text for rich, each in one row of the terminal. They are drawn faster than
-    rich's tables, which measure and wrap cells."""
+    """Lines of styled text for the library rich. Each line takes one row of the terminal. Lines are
+    drawn faster than rich's tables, which measure and wrap cells."""
 
     def __init__(self, width: int, rows: list[Row]) -> None:
         self._width, self._rows = width, rows
@@ -353,8 +352,7 @@ _BLIND_KEYS = "+ − amplitude    0 off    space pause    q, Esc end; the sessio
 
 
 class BlindScreen(Screen):
-    """Screen for participants: question, amplitude and pressure, but no electrodes, rates or
-    currents."""
+    """Screen for participants. It hides electrodes, rates and currents, which reveal answers."""
 
     def event(self, event: Event) -> None:
         if not event.reveals:
@@ -398,7 +396,7 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
             f"median, {latency['p99'] / 1000:.1f} ms p99"
         )
     net_uc = figures["max_net_charge_uc"] or 0
-    net = f"largest charge left by a discharge {1e6 * net_uc:.3g} pC"
+    net = f"largest charge that remained after a discharge: {1e6 * net_uc:.3g} pC"
     counted = f"{figures['emulator_violations']} violations of limits, counted by the board"
     if by_host:
         least, at_most = figures["pulses"], figures["pulses_at_most"]

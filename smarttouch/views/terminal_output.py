@@ -47,7 +47,7 @@ class PlainStream:
     """Standard stream. A failed write raises the error of `write_failure`.
 
     If ``name`` is empty, failures are ignored. With ``plain``, control characters are replaced, and
-    `isatty` returns False, so that no library draws. `console` draws on the stream `direct`.
+    `isatty` returns False, so that no library draws. Only `console` draws; it writes to `direct`.
     """
 
     def __init__(self, stream: TextIO, name: str, plain: bool = True) -> None:

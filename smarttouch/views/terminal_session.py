@@ -88,7 +88,8 @@ def run_in_terminal(
             config,
             force=force,
             listeners=[
-                *([] if page is None else [page]),  # before the screen, to print the address first
+                # The page comes before the screen, so that the page's address is printed first.
+                *([] if page is None else [page]),
                 shown,
                 *listeners,
                 operation,
@@ -112,8 +113,8 @@ def run_in_terminal(
 def _operated(
     display: Display, config: RunConfig, controls: MakeControls, steered: bool
 ) -> tuple[RunConfig, MakeControls]:
-    """Return the settings and controls of a run. On a finger, the intensity of ``config`` is the
-    maximum. If a person steers this run (``steered``), the run starts at zero."""
+    """Return the settings and controls of a run. If the board may be on a finger, the intensity of
+    ``config`` is the maximum, and a run that a person steers (``steered``) starts at zero."""
     if not display.on_a_finger:
         return config, controls
 
@@ -231,4 +232,4 @@ def _state(recording: "RecordedRun") -> str:
         return "complete"
     if recording.damaged_chunks:
         return f"damaged: {recording.damaged_chunks} chunks cannot be read"
-    return "cut off: the program that wrote the recording did not end in order"
+    return "incomplete: the program that wrote the recording did not end normally"

@@ -37,7 +37,9 @@ class Vibrator(Listener):
         self._target = target
         self._output: _WavFile | _SoundCard | None = None
         if target != "sound:" and (Path(target).suffix != ".wav" or "vibrators:" in str(target)):
-            raise SmartTouchError(f"{target} is neither a WAV file, such as pc.wav, nor sound:")
+            raise SmartTouchError(
+                f"{target} is not a vibrator: give a file such as pc.wav, or 'sound:' (sound card)"
+            )
 
     def prepare(self, run: RunContext) -> None:
         self._output = _SoundCard() if self._target == "sound:" else _WavFile(Path(self._target))

@@ -40,8 +40,8 @@ class Window(Listener):
 
     The run begins when a page is open, or after ``waits_s``. ``show`` receives the address of the
     page. With ``blind``, pages hide the stimulus. A page that sends nothing for ``lost_s`` is lost,
-    and loses control. If ``alone`` (no terminal has keys), the run pauses when the page in control
-    leaves or is lost. With ``stays``, pages show the end of the run until `shut`.
+    and loses control. ``alone`` means that no terminal controls the run. Then the run pauses when a
+    page gives up or loses control. With ``stays``, pages show the end of the run until `shut`.
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class Window(Listener):
             self._events.append((self._event_count, entry))
 
     def close(self) -> None:
-        """Send the end of the run to the pages. Stop serving, unless ``stays`` is set."""
+        """Tell the pages that the run has ended. Stop serving, unless ``stays`` is set."""
         if not self.ended:
             reason, failed = self._end
             self.ended = json.dumps({"type": "ended", "reason": reason, "failed": failed})

@@ -63,7 +63,7 @@ class Steering:
         self._stop.ask("the window")
 
     def steer(self, page: int) -> bool:
-        """Give a page control if no page has control. Return whether this page has control now."""
+        """Give control to this page if no page has it. Return whether this page has control now."""
         with self._lock:
             if self._page is None:
                 self._alive_s, self._page = time.monotonic(), page
@@ -180,7 +180,7 @@ class Pages:
         ]
 
     def close(self) -> None:
-        """Send the end of the run to all pages, and close their connections."""
+        """Tell all pages that the run has ended, and close their connections."""
         self._over.set()
         if self._pages:
             self._all_informed.wait(_INFORMED_WITHIN_S)

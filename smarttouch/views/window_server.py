@@ -1,5 +1,4 @@
-"""Web server of the window. It runs in a thread, serves only this machine, and has a secret in its
-address."""
+"""Web server of the window, in a thread, only for this machine. Its address contains a secret."""
 
 import atexit
 import contextlib

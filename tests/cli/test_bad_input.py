@@ -105,7 +105,7 @@ def no_place(name):
     ("design --mode=PA", says(value="PA", allowed=("RA", "SAI", "PC"))),
     ("design --profile=kajimoto-61 --mode=SAI",
      says(DesignError, value="SAI", allowed=("RA",))),
-    ("design --plot=k.jpg --profile=line-7", says(SmartTouchError, "k.jpg", "*.png")),
+    ("design --plot=k.jpg --profile=line-7", says(SmartTouchError, "k.jpg", "end in .png")),
     ("devices show text:x --seconds 0", says(value=0, allowed=(0, 3600))),
     ("devices show hx711:/dev/nowhere",
      says(SourceError, "electric-mouse", "force.curve", "0.00980665")),

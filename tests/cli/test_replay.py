@@ -38,7 +38,8 @@ def test_damage_is_reported(program_here, recording):
     content = recording.read_bytes()
     flipped = bytearray(content)
     flipped[len(content) // 2] ^= 1
-    for broken, state in ((content, "complete"), (content[:-200], "cut"), (flipped, "damaged:")):
+    states = (content, "complete"), (content[:-200], "incomplete:"), (flipped, "damaged:")
+    for broken, state in states:
         recording.write_bytes(broken)
         done = program_here("replay", recording, "--info")
         assert done.returncode == 0

@@ -29,11 +29,11 @@ export function currentColor(part) {
   return `rgb(${mixed.join(",")})`;
 }
 
-/** Latency as text: to the first pulse, if the board reports its time, else to the last byte. */
+/** Latency as text: from the image to its first pulse or, if unknown, to its last byte sent. */
 export const latencyOf = (picture) =>
   picture.pulse_ms === null
-    ? `${picture.latency_ms.toFixed(1)} ms, to last byte`
-    : `${picture.pulse_ms.toFixed(1)} ms, to first pulse`;
+    ? `image to last byte ${picture.latency_ms.toFixed(1)} ms`
+    : `image to first pulse ${picture.pulse_ms.toFixed(1)} ms`;
 export const calm = () => window.matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 // A canvas in millimeters, with the center of the electrode array as origin.
