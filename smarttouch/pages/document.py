@@ -36,12 +36,11 @@ if TYPE_CHECKING:
 
 PDF_DPI = 300.0
 MOST_RENDERED_PIXELS = 36_000_000
-"""Largest number of pixels of a rendered PDF page: A2 at 300 dpi. By default, a larger page is
-rendered at a lower resolution."""
+"""Largest number of pixels of a PDF page: A2 at 300 dpi. By default, larger pages get fewer dpi."""
 GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
 _LEAST_BELIEVED_DPI = 50.0
-"""Smallest resolution of an image file that is used. A resolution of 72 dpi is ignored, too,
-because many programs write 72 if they do not know the resolution."""
+"""If an image file states a resolution below this, ignore it. Ignore 72 dpi, too, because many
+programs write 72 if they do not know the resolution."""
 
 
 class LockedError(PageError):
@@ -167,7 +166,7 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
         if "password" not in str(error).lower():
             raise PageError(f"{path} is damaged, or has no pages: save it again") from None
         wrong = "" if password is None else ", and the password is wrong"
-        options = "--password-file FILE, or page:FILE?password_file=FILE"
+        options = "--password-file FILE, or page:PDF?password_file=FILE"
         raise LockedError(f"{path} is locked{wrong}: give {options}") from None
     # Initialize forms before any page is opened, to render filled-in fields.
     if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
@@ -175,7 +174,7 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
     return pdf
 
 
-_STAMP = 100  # a page of mostly rotated text is turned if it has more rotated characters
+_STAMP = 100  # at most this many rotated characters may be a stamp, so the page is not turned
 _LEVEL = 10.0  # angle to the horizontal or vertical, degrees, above which text is slanted
 _FINE = 1000.0  # PDFium returns integer coordinates: request them in 1/1000 point
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
@@ -224,7 +223,7 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
 _ABOVE, _AROUND = 0.95, 0.3  # extent of a letter above and below the baseline, in letter sizes
 _FAINT = 12  # contrast, gray levels, below which print is invisible
 _MOST_UNKNOWN = 0.05  # largest share of undefined characters in a text
-_MOSTLY = 0.5  # largest total length of lines that the text lacks, relative to the text's lines
+_MOSTLY = 0.5  # largest total length of printed lines missing in the text, relative to its lines
 _ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
 _BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # a bullet in a symbol font
 
@@ -248,14 +247,14 @@ def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
         2 * len(turned) > len(seen) or unknown > _MOST_UNKNOWN * len(seen)
         or missing > _MOSTLY * read
     ):  # fmt: skip
-        reason = "the file's text is mostly rotated or unreadable, or lacks much of the print"
+        reason = "the file's text is mostly rotated or unreadable, or lacks many printed lines"
         return replace(page, notes=(f"{reason}: the picture of the page is recognized instead",))
     stamps = "".join((" " if sign.space else "") + sign.text for sign in turned).strip()
     notes = {
         DOUBTFUL: any(line.is_doubtful for line in ordered),
-        f"rotated text is left out: {stamps}": turned,
+        f"rotated text is left out: {stamps!r}": turned,
         f"text that is not visible is left out (characters: {hidden})": hidden,
-        f"printed lines that the file's text lacks are left out: {len(others)}": others,
+        f"printed lines are left out, because the file's text lacks them: {len(others)}": others,
     }
     said = tuple(note for note, is_so in notes.items() if is_so)
     return replace(page, lines=tuple(lines), words=tuple(texts), notes=said)
@@ -265,16 +264,16 @@ _SMALLER = 0.95  # largest size of a superscript or subscript, relative to the t
 _SHIFTED = (0.1, 0.8)  # smallest and largest shift of a sub- or superscript, in letter sizes
 _NEAR = 0.55  # largest gap between a sub- or superscript and the word, in letter sizes
 _INITIAL = 1.8  # smallest size of a drop cap relative to the text
-_TOUCHING = 0.3  # at a line break in the file, smallest gap that is a space, in letter sizes
+_TOUCHING = 0.3  # smallest gap that is a space, in letter sizes, where the file has a line break
 _FARTHEST = 2.5  # largest space within a segment, in letter sizes
 _SPACED = 0.8  # largest letter spacing, in letter sizes
 _WIDER = 1.5  # smallest gap between letter-spaced words, relative to the letter spacing
 _EVEN = 0.25  # largest difference between the spaces of a justified line, in letter sizes
-_EACH = 0.4  # a justified line of n words has spaces of up to n times this, in letter sizes
+_EACH = 0.4  # in a justified line of n words, each space is at most n times this, in letter sizes
 
 
 def _segments(signs: list[Segment]) -> list[Segment]:
-    """Join characters to segments; write ``^`` before superscripts and ``_`` before subscripts."""
+    """Join characters into segments. Put ``^`` before superscripts and ``_`` before subscripts."""
     segments: list[Segment] = []
     for line in split(
         signs, lambda last, sign: abs(sign.y - last.y) > _SHIFTED[1] * max(sign.size, last.size)
@@ -362,7 +361,7 @@ _FEWEST_SPOTS = 4  # with fewer letters on a page, `_print_on` finds no lines
 
 
 def _print_on(page: Page) -> list[TextLine]:
-    """Return the lines of print in the image of a page from which `_erased` removed the text."""
+    """Return the lines of print that a page image still has after `_erased` removed the text."""
     step = page.mm_per_pixel / _COARSE_MM
     coarse = cv2.resize(page.grey, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
     ink = np.abs(coarse - np.median(coarse)) > _CONTRAST

@@ -30,10 +30,10 @@ class Paper:
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
-    """Separate ink from paper in an image, (H, W) uint8; by default, detect light print on dark.
+    """Separate ink from paper in an image, (H, W) uint8. By default, detect whether print is light.
 
-    The threshold is about halfway between paper and ink. The threshold is local, but grainy paper
-    has a single threshold. Pale print beside black print counts as ink only on paper without grain.
+    The threshold is about halfway between paper and ink. It follows the contrast of nearby ink, but
+    not on grainy paper. Pale print beside black print counts as ink only on paper without grain.
     """
     light_on_dark = is_light_on_dark(grey) if light_on_dark is None else light_on_dark
     grey = ~grey if light_on_dark else grey

@@ -20,12 +20,12 @@ _LARGEST_PART = 0.25  # largest height of a letter, relative to the page's short
 _DOT = 0.7  # smallest share of ink in the box of a dot
 _RULE = 12.0  # ratio of length to thickness above which a component is a rule
 _LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the typical height
-_COMMA = (0.8, 0.5)  # largest height and width of a comma or quote, in typical heights
+_COMMA = (0.8, 0.5)  # largest height and width of a comma or quote, in typical letter heights
 _LONGEST = 40.0  # largest ratio of width to height of a word whose letters touch
 _UNDERLINE, _THIN = 3.0, 0.3  # underline: smallest length and largest thickness, in letter heights
 _TWO_LINES = 1.7  # smallest height of a component that may span two lines, in letter heights
-_LEAST_LINE = 0.6  # smallest height of a line in a component of two lines, in letter heights
-_VALLEY = 0.25  # a pixel row with less than this share of the ink of full rows separates two lines
+_LEAST_LINE = 0.6  # smallest height of each line in a component of two lines, in letter heights
+_VALLEY = 0.25  # largest ink of a pixel row between two lines, relative to the lines' fullest rows
 
 
 def weighted_median(values: Indices | Floats, weight: Floats) -> float:
@@ -101,7 +101,7 @@ def like_letters(components: Components, height: float) -> NDArray[np.bool_]:
 
 
 def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
-    """Return masks, (H, W), of horizontal rules and underlines, and of vertical rules."""
+    """Return two masks, (H, W): horizontal rules with underlines, and vertical rules."""
     page, long = ink.view(np.uint8), round(_RULE * height)
     # In some scripts letters hang from a line. Only a line without ink below is an underline.
     thick = max(3, round(_THIN * height))
@@ -135,15 +135,15 @@ def part_lines(ink: Ink, components: Components, height: float) -> Ink:
 _NEIGHBORS = 10  # number of candidates for the next letter
 _WIDEST_GAP = 3.8  # largest gap between two letters of a row, in heights of the taller letter
 _LEAST_OVERLAP = 0.45  # smallest vertical overlap of two letters of a row, relative to the shorter
-_LARGEST_RATIO = 2.8  # largest ratio of heights in a row; a parenthesis is 2.5 x-heights tall
+_LARGEST_RATIO = 2.8  # largest ratio of neighbors' heights; a parenthesis is 2.5 times as tall as x
 _LEAST_SPACE = 0.35  # narrowest space between words, in letter heights
 _LANE_PX = 3.0  # lanes are searched in a reduced image with letters of this height, px
 _NARROWEST = 0.75  # smallest width of a lane, in letter heights
 _LANES = ((1.25, 15.0), (1.9, 8.0))
-"""Smallest width, in word spaces, and smallest length, in letter heights, of two kinds of lanes."""
+"""Two kinds of lanes: smallest width, in word spaces, and smallest length, in letter heights."""
 _LANE_REACH = 16.0  # largest distance from a lane to the print on each side, in letter heights
-_SHORT_LINES = 6.5  # largest vertical gap that short lines leave beside a lane, in letter heights
-_LANE_GAP = 25.0  # a lane continues across interruptions of at most this height, in letter heights
+_SHORT_LINES = 6.5  # largest height that short lines leave blank beside a lane, in letter heights
+_LANE_GAP = 25.0  # largest height of an interruption that does not end a lane, in letter heights
 
 
 def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[Components]:
@@ -161,7 +161,7 @@ def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[
     middle = (letters.top[first] + letters.bottom[first]) // 2
     passed = (np.cumsum(mask, axis=1, dtype=np.int32) for mask in (walls, lanes))
     walled, laned = (count[middle, end] > count[middle, start] for count in passed)
-    # A lane may cross a headline. End a row only at a gap that is wide relative to its letters.
+    # A lane may cross a headline. End a row only at a gap that is wide compared with the letters.
     wide = 2 * gap > _NARROWEST * (letters.height[first] + letters.height[second])
     free = ~(walled | (laned & wide))
     following = dict(zip(first[free].tolist(), second[free].tolist(), strict=True))
@@ -190,7 +190,7 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
         width = max(3, round(max(_NARROWEST * height, spaces * space)))
         lane = np.ones((round(length * height / part), width), np.uint8)
         lanes |= cv2.morphologyEx(white.view(np.uint8), cv2.MORPH_OPEN, lane) > 0
-    # Where a column has no print, the lane beside it has a gap. Fill the gap if it is white.
+    # A lane is not found where a column beside it has no print. Close such a gap if it is white.
     longer = np.ones((round(_LANE_GAP * height / part) | 1, 1), np.uint8)
     within = cv2.morphologyEx(lanes.view(np.uint8), cv2.MORPH_CLOSE, longer, borderValue=0)
     wide = cv2.morphologyEx(1 - page, cv2.MORPH_OPEN, np.ones((3, width), np.uint8))
@@ -230,16 +230,16 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
 _WORD = 1.3  # a component wider than this, in letter heights, is several touching letters
 _PIECE = 0.6  # width of the pieces into which touching letters are divided, in letter heights
 _DEGREES = (8.0, 20.0, 40.0)
-"""Row lengths, in letter heights, from which the baseline has polynomial degree 1, 2 and 3."""
-_DESCENDING = 2.5  # factor of distances below a baseline, so that descenders get small weights
+"""Smallest row lengths, in letter heights, for a baseline of polynomial degree 1, 2 and 3."""
+_DESCENDING = 2.5  # distances below a baseline are multiplied by this: descenders get small weights
 _ROUNDS = 5  # iterations of the robust fit
 _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # candidate x-heights, in letter heights
 _NEAR = (0.1, 0.5)  # tolerance of heights: 0.1 x-heights + 0.5 px
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
 """Ranges of ascender height and descender depth from the baseline, in x-heights."""
-_UNDECIDED = 0.3  # the baseline is raised if a larger share of letter bottoms is above it
+_UNDECIDED = 0.3  # the baseline is raised if more than this share of letter bottoms is above it
 _STROKES = (0.75, 2.9)  # range of `Baseline.strokes` in text; usual print has 0.9 to 1.9
-_TOUCHING = 1.3  # letters touch if the median width of components is larger, in x-heights
+_TOUCHING = 1.3  # if the median width of a row's letters exceeds this, in x-heights, they touch
 _ON_LEVELS = 0.65  # smallest share of letters with typical heights in a row of text
 _TOUCHING_ON_LEVELS = 0.52  # as `_ON_LEVELS`, for a row of touching letters
 _FEW_ON_LEVELS = 0.8  # as `_ON_LEVELS`, for a row of fewer than `MANY` letters
@@ -258,7 +258,7 @@ class Baseline:
     x_height: float
     rise: Floats  # (P,) heights of letter tops above the baseline
     fall: Floats  # (P,) depths of letter bottoms below the baseline
-    strokes: float  # number of strokes for each x-height of length, at half x-height
+    strokes: float  # number of strokes at half the x-height, in a length of one x-height
 
     def at(self, x: NDArray[np.float64]) -> Floats:
         """Return y of the baseline at x, linearly extrapolated beyond the row's ends."""
@@ -273,7 +273,7 @@ class Baseline:
     def is_text(self) -> bool:
         """Whether the number of strokes is as in text, and most letters have typical heights."""
         letters = self.letters
-        # Dashes and wide spaces reduce the number of strokes.
+        # Dashes and wide spaces have few strokes, so accept fewer strokes in a row with them.
         covered = min(1.0, float(letters.width.sum()) / (self.right - self.left))
         touching = float(np.median(letters.width)) > _TOUCHING * self.x_height
         least = _TOUCHING_ON_LEVELS if touching else _ON_LEVELS
@@ -308,7 +308,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     off = bottom - polynomial.polyval(x - left, curve)
     above = off < -_NEAR[0] * height - _NEAR[1]
     if above.mean() > _UNDECIDED:
-        # Many letter bottoms are above the curve, so it follows descenders: raise the curve.
+        # The curve follows the descenders, because many letter bottoms are above it. Raise it.
         curve[0] += np.median(off[above])
     base = polynomial.polyval(x - left, curve)
     rise = base - top

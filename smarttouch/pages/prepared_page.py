@@ -81,8 +81,7 @@ def _with_lines(
 ) -> PreparedPage:
     """Find the lines of a page.
 
-    With ``turn``, the skew of the page is corrected first. Dark panels are inverted, and small
-    print is enlarged.
+    With ``turn``, correct the skew of the page first. Invert dark panels. Enlarge small print.
     """
     paper = separate_ink(page.grey, light_on_dark)
     light_on_dark, ink, cleaned = paper.light_on_dark, paper.ink, paper.cleaned
@@ -130,12 +129,12 @@ _LEAST_SKEW_DEG = 0.2  # smallest skew to correct
 _PEAK_DEG = 0.6  # candidate skews within this distance of the best candidate are averaged
 _BIN = 0.25  # bin size of the histogram of letter bottoms, in letter heights
 _FEWEST = 30  # smallest number of letters with which the skew is measured
-_SURE = 2.0  # the skew is certain if its score is more than this times the median score
+_SURE = 2.0  # the skew is certain if its score exceeds the median score by this factor
 
 
 def skew_of(letters: Components, height: float) -> float:
-    """Return the clockwise skew of a page, degrees, or 0 if uncertain. At this skew, most letter
-    bottoms are aligned. ``height`` is the typical letter height, px."""
+    """Return the clockwise skew of a page, degrees, or 0 if uncertain. At this skew, letter
+    bottoms align best. ``height`` is the typical letter height, px."""
     x = (letters.left + letters.right) / 2
     if len(x) < _FEWEST:
         return 0.0
@@ -150,7 +149,7 @@ def skew_of(letters: Components, height: float) -> float:
 
 _LEAST_SIDES = (2.5, 5.0)  # smallest height and width of a dark panel, in letter heights
 _LEAST_INK = 0.6  # smallest share of ink in a dark panel
-_LIGHT_LETTER = (0.5, 9.0)  # range of letter heights in a dark panel, in letter heights of the page
+_LIGHT_LETTER = (0.5, 9.0)  # range of letter heights in dark panels, relative to the page's letters
 _FEWEST_LETTERS = 4  # smallest number of letters in a dark panel
 
 
@@ -170,7 +169,7 @@ def _panels(ink: Ink, components: Components, height: float) -> Ink:
 
 
 _HOPELESS = 60  # if none of this many rows is text, the other rows are not measured
-_MISSES = 3  # each row that is text raises the limit `_HOPELESS` by this many rows
+_MISSES = 3  # number of rows by which each row that is text raises the limit `_HOPELESS`
 _LEAST_X_HEIGHT_PX = 3.5  # smallest x-height of readable print
 _SHORT = 11.0  # a row shorter than this, in letter heights, gets the slope of the nearest line
 
@@ -196,14 +195,14 @@ def _measured(ink: Ink, rows: list[Components], slope: float) -> tuple[list[Base
     return _credible(ink, measured), small
 
 
-_EVEN = 0.85  # in a uniform line, at least this share of letters has typical heights
-_FEW = 4  # a uniform line with at least this many letters is certainly text
+_EVEN = 0.85  # smallest share of letters with typical heights in a uniform line
+_FEW = 4  # a line with uniform heights (`_EVEN`) and at least this many letters is surely text
 _SIMILAR = 1.7  # a line of text has an x-height within this factor of a line that is certainly text
 _MOST_OF_ALL = 0.8  # if no line is certainly text, lines must contain this share of the page's ink
 _OWN = (-1.8, 0.6)  # top and bottom of a line relative to the baseline, in x-heights
 _AROUND = (-1.7, 0.5)  # area around a line: top and bottom from the baseline, in letter heights
-_FOREIGN = 0.1  # largest ink around a line for each letter (up to `MANY`), in units of its ink
-_NEAR_FOREIGN = 0.5  # as `_FOREIGN`, for a uniform line (see `_EVEN`) of at least `_FEW` letters
+_FOREIGN = 0.1  # largest ink around a line, per letter (up to `MANY`), relative to the line's ink
+_NEAR_FOREIGN = 0.5  # replaces `_FOREIGN` in a uniform line (`_EVEN`) of at least `_FEW` letters
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
@@ -222,7 +221,7 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
         left, right = max(0, round(line.left - size)), round(line.right + size)
         limit = _NEAR_FOREIGN if even and count >= _FEW else _FOREIGN
         area = int(line.letters.area.sum())
-        # A single component that mostly lies in another line is a part of a letter of that line.
+        # If a line is one component that mostly lies in another line, it is a part of a letter.
         is_part = count == 1 and 2 * np.count_nonzero(rest[line.letters.box(0)]) < area
         limit = (limit * min(count, MANY) + (count == 1)) * area
         if np.count_nonzero(rest[top:bottom, left:right]) < limit and not is_part:
@@ -274,7 +273,7 @@ def _ordered(
 
 
 _REACH = 1.2  # largest gap between a line and a mark at its end, in x-heights
-_FARTHEST = 3.5  # largest total length of the marks at one end of a line, in x-heights
+_FARTHEST = 3.5  # largest extension of a line by the marks at one end, in x-heights
 _ABOVE, _BELOW = 1.6, 0.5  # largest distances of marks above and below the baseline, in x-heights
 _LONGEST = 2.5  # largest side of a dot, dash or single letter, in x-heights
 
@@ -302,7 +301,7 @@ def _ends(lines: list[Baseline], components: Components) -> list[tuple[float, fl
 
 
 _SAME = 0.15  # largest relative difference between x-heights of one font size
-_CAPITALS = 0.08  # in a line of capitals, a smaller share of letters is much taller than the others
+_CAPITALS = 0.08  # in a line of capitals, largest share of letters much taller than the x-height
 _CAPITAL = 1.42  # height of a capital, in x-heights
 _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 """Plausible ranges of ascent and descent, in x-heights."""

@@ -15,13 +15,13 @@ _WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
 _APART = 2.5  # smallest vertical or horizontal gap between separate lines, in letter sizes
 _FLUSH = 0.4  # largest difference between the ends of justified lines, in letter sizes
 _FARTHER = 1.6  # smallest distance between blocks of rows, relative to the typical row distance
-_EDGE = 0.125  # running heads are in this share of the page at the top and at the bottom
-_WIDE_CELL = 5.0  # smallest mean line width of prose in a picture, in letter sizes
-_WIDER = 8.0  # smallest mean line width of prose in a PDF file, in letter sizes
-_WIDEST = 13.0  # smallest mean line width of prose with widely spaced rows, in letter sizes
-_LOOSE = 1.5  # row distance above which rows are widely spaced, in letter sizes
+_EDGE = 0.125  # height of the top and the bottom zone with running heads, relative to the page
+_WIDE_CELL = 5.0  # in images, smallest mean line width of prose (not table cells), in letter sizes
+_WIDER = 8.0  # in PDF files, smallest mean line width of prose (not table cells), in letter sizes
+_WIDEST = 13.0  # smallest mean line width of prose with rows far apart (`_LOOSE`), in letter sizes
+_LOOSE = 1.5  # smallest distance of rows that are far apart, in letter sizes
 _FEWEST = 3  # with fewer rows, the widths of lines do not tell prose from tables
-_SURE = 1.15  # the order is doubtful within this factor of the smallest mean line width of prose
+_SURE = 1.15  # the order is doubtful if line width and prose limit differ by less than this factor
 DOUBTFUL = "the reading order is doubtful: words side by side may be columns, or rows of a table"
 # mark of a list item, or number of a section
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
@@ -162,7 +162,7 @@ def _ordered(rows: list[Row]) -> list[Line]:
 
 
 def _insets(rows: list[Row], gap: _Span) -> list[Row] | None:
-    """Return the segments that cross a gap between columns, such as captions. Return None if few
+    """Return the segments, such as captions, that cross a gap between columns. Return None if few
     rows have text on both sides of the gap."""
     across = [[part] for row in rows for part in row if part.left < gap[1] and part.right > gap[0]]
     beside = [[part for part in row if [part] not in across] for row in rows]
@@ -171,7 +171,7 @@ def _insets(rows: list[Row], gap: _Span) -> list[Row] | None:
 
 
 def _blocks(rows: list[Row]) -> list[list[Row]]:
-    """Split rows into blocks where the distance of rows is larger than usual."""
+    """Group rows into blocks. A block begins where the distance of two rows is unusually large."""
     far = _FARTHER * _usual_step(rows)
     return split(rows, lambda above, row: row[0].y - above[0].y > far)
 
@@ -211,8 +211,9 @@ def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
 
 
 def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
-    """Return the mean line width of the narrower column, relative to the smallest width of prose.
-    Return 0 for a table or few rows, and infinity if the file stores one column after the other."""
+    """Return the smaller mean line width of two columns, relative to the smallest width of
+    prose. The columns are prose if the result is at least 1. Return 0 for a table or few rows, and
+    infinity if the file stores one column after the other."""
     ends = [_text(row)[:1] + _text(row)[-1:] for row in right]
     if all(map(str.isdigit, ends)) or all(_text(row).endswith(":") for row in left):
         return 0.0  # a table: the right column has only numbers, or the left only labels

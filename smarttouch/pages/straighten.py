@@ -15,13 +15,13 @@ _SIDE_PX = 480  # longer side of the image for sheet detection
 _LEAST_PART = 0.2  # smallest share of a photograph that a sheet covers
 _LARGEST_PART = 0.97  # if a sheet covers a larger share of a picture, the picture is a scan
 _LOG_STEPS = (0.1, 0.15, 0.25, 0.4, 0.7)
-"""Smallest steps of log gray level at an edge: high to ignore shadows, low to find faint edges."""
+"""Steps of log gray level at edges. Low steps find faint edges. High steps ignore shadows."""
 _LEAST_FILLED = 0.93  # smallest share of a sheet's quadrilateral that is bright
 _LEAST_STEP = 25.0  # smallest drop of the gray level from sheet to background at a visible edge
 _LEAST_SIDES = 3  # smallest number of visible edges; one edge may be outside the photograph
 _EDGE_PX = 6  # distance from an edge at which paper and background are compared
 _ROUGH = 0.02  # largest deviation from a quadrilateral, relative to the length of the outline
-_INSET = 0.006  # share of the sheet removed at its blurred edges
+_INSET = 0.006  # share of a sheet's width and height that is cut off, because the edges are blurred
 
 
 def find_sheet(grey: Grey) -> Corners | None:
@@ -68,8 +68,9 @@ def _is_sheet(corners: Corners, covered: float, paper: Grey) -> bool:
 
 
 def flattened(grey: Grey, corners: Corners) -> Grey:
-    """Stretch a quadrilateral of a picture to a rectangle as wide and as high as its longer
-    sides. Areas outside the picture get the picture's median gray level."""
+    """Stretch a quadrilateral of a picture to a rectangle. It is as wide as the longer of the
+    top and bottom sides, and as high as the longer of the left and right sides. Areas outside
+    the picture get the picture's median gray level."""
     top, right, bottom, left = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
     width, height = max(2, round(max(top, bottom))), max(2, round(max(left, right)))
     target = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
@@ -93,7 +94,7 @@ def turned(grey: Grey, skew_deg: float) -> Grey:
 _AROUND = 0.8  # margin above and below a line, in line heights; removed after straightening
 SIDES = 0.25  # margin before and after a line, in line heights
 _INK = 128  # gray level below which a pixel belongs to a spot of ink
-_FADED = np.ones((5, 5), np.uint8)  # adds the gray edge of a spot to the spot
+_FADED = np.ones((5, 5), np.uint8)  # dilation kernel that extends a spot by its gray edge
 
 
 def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int) -> Grey:

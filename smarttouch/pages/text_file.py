@@ -16,7 +16,7 @@ from smarttouch.base.files import MOST_DOCUMENT_BYTES, decoded, open_file, read_
 
 INSTALL = "apt install pandoc"
 MOST_BYTES, MOST_UNPACKED_BYTES = 50_000_000, 500_000_000
-"""Largest file, and largest content of a ZIP file."""
+"""Largest size of a file, and largest unpacked size of a ZIP file."""
 _TIMEOUT_S, _MEMORY = 120.0, "1500M"
 _FILTER = Path(__file__).with_name("pandoc_text.lua")
 _BEGINNING_BYTES, _END_BYTES = 4096, 300_000
@@ -33,7 +33,7 @@ _BY_NAME = dict.fromkeys([".md", ".markdown"], _MARKDOWN) | dict.fromkeys(
     [".html", ".htm", ".xhtml"], f"html{_TEX}"
 )
 _ODF = rb"PK.{28}mimetypeapplication/vnd\.oasis\.opendocument\."
-_LISTED = rb"PK.*PK\x01\x02.{42}"  # ZIP file, up to a member's name in the central directory
+_LISTED = rb"PK.*PK\x01\x02.{42}"  # matches a ZIP file up to a file name in its directory
 _KINDS = {
     rb"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b": f"html{_TEX}",
     _LISTED + rb"word/": "docx",
@@ -41,7 +41,7 @@ _KINDS = {
     _ODF + rb"text": "odt",
     _LISTED + rb"ppt/|" + _ODF + rb"presentation": "a presentation",
     _LISTED + rb"xl/|" + _ODF + rb"spreadsheet": "a spreadsheet",
-    rb"PK\x03\x04": "a packed file (ZIP, or made by a drawing program or Pages)",
+    rb"PK\x03\x04": "a packed file (a ZIP archive, or from a drawing program or Apple Pages)",
     rb"\{\\rtf": "an RTF document",
     rb".*<pef\b": "a PEF file",
     rb"\s*<(?:\?xml|svg\b|!--|!doctype svg)(?!.*<html)": "an XML document (such as an SVG drawing)",
@@ -53,7 +53,7 @@ _KINDS = {
     rb"\s*\{.*\"(?:nbformat|cells)\"\s*:": "a notebook (Jupyter)",
     rb"\xd0\xcf\x11\xe0": "an old or locked Office document, or an Outlook mail",
 }
-"""Formats by patterns of bytes. A name without spaces is pandoc's; other formats are rejected."""
+"""Formats by byte patterns. A name without spaces is pandoc's. A name with spaces is rejected."""
 _OBJECT = re.compile(rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>", re.DOTALL)
 _DROPPED = {
     "headers and footers of its pages are left out": rb"<w:(?:hdr|ftr)\b.*?<w:t\b|"
@@ -155,7 +155,7 @@ def _kind_and_format(path: Path) -> tuple[FileKind, str]:
 
 
 def _repacked(path: Path) -> tuple[bytes, list[bytes]]:
-    """Return a ZIP file without markup that makes pandoc drop text, and the original contents."""
+    """Copy a ZIP file so that pandoc drops no text. Return the copy and the original contents."""
     try:
         with zipfile.ZipFile(path) as packed:
             if sum(member.file_size for member in packed.infolist()) > MOST_UNPACKED_BYTES:
