@@ -102,8 +102,7 @@ def optics(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
 ) -> None:
-    """Measure the dark level of each pixel with the sensor covered, then the gain of each pixel on
-    blank white paper."""
+    """Measure each pixel's dark level on the covered sensor, then its gain on blank white paper."""
     from smarttouch.experiments import sensor_optics
 
     file = calibration.file("optics")

@@ -179,7 +179,7 @@ def new(
     *tables, file = files
     if len(tables) + bool(grid) > 1:
         raise ProfileError(
-            "more than one array: give one table or --grid, or neither to copy --like", key="table"
+            "several arrays: give one table or --grid. To copy --like, give neither", key="table"
         )
     copied = ProfileFile(like, file, overwrite)
     if not tables and not grid:

@@ -59,8 +59,9 @@ def emulate(
     device: Annotated[
         str,
         argument(
-            "Kind: link, kajimoto61, etactilekit, serial-array, hx711 or loadcell; options as in "
-            "'link?electrodes=16&event=2 lift'. Or a file from --board 'KIND:PORT?record=FILE'.",
+            "Kind of device: link, kajimoto61, etactilekit, serial-array, hx711, loadcell. Options "
+            "follow a ?, as in 'link?electrodes=16&event=2 lift'. Instead of a kind, give a file "
+            "that --board 'KIND:PORT?record=FILE' recorded.",
             "KIND|FILE",
         ),
     ],

@@ -51,7 +51,7 @@ class _Participant(OptionGroup):
     ] = None
     simulate: Annotated[
         str | None,
-        option("Let a simulated participant answer: model or random.", "WHO"),
+        option("Let a simulated participant answer: model judges spikes, random guesses.", "WHO"),
     ] = None
 
     @property
@@ -71,8 +71,8 @@ def run_listed(
         str | None,
         argument(
             "Name of an experiment, the word free, or your own file (default: list all). Options "
-            "follow a ?, as in 'frequency?standards=15,30&repetitions=5'. Others: procedure, site, "
-            "trials, train_s, gap_s, answer_s and, if rates are not compared, rate_hz.",
+            "follow a ?, as in 'frequency?standards=15,30&repetitions=5'. More options: procedure, "
+            "site, trials, train_s, gap_s, answer_s; also rate_hz, unless rates are compared.",
             "NAME|FILE.py",
         ),
     ] = None,
@@ -124,8 +124,8 @@ def _run_trials(
         choice_of("simulate", simulate, ("model", "random"))
         if not run.board_url.startswith("simulated:"):
             raise ExperimentError(
-                f"a simulated participant cannot use {run.board_url!r}, as a finger may be on "
-                "this board: use --board simulated:"
+                f"a simulated participant cannot use {run.board_url!r}, because a finger may "
+                "be on this board: use --board simulated:"
             )
     afferent = parse_afferent(mode)
     is_default = run.profile is None and run.load_profile().name == DEFAULT_PROFILE
@@ -180,7 +180,7 @@ def _run_free(run: RunOptions, who: _Participant, mode: str, options: dict[str, 
     record = run.record or numbered(Path("free.mcap"))
     run = replace(run, profile=run.profile or "line-8", record=record)
     if run.intensity is None and not run.on_a_finger:
-        # Start at zero on simulated boards, too, as on real boards.
+        # Start at zero intensity on simulated boards, as on real boards.
         run = replace(run, intensity=0.0)
     profile = raise_to_device_limits(run.load_profile())
     with bank_progress() as progress:
@@ -206,7 +206,7 @@ def fit(
         float | None,
         option("Share of successes at the threshold (default: halfway from chance to 1).", "0..1"),
     ] = None,
-    plot: Annotated[Path | None, output_file("Draw shares and thresholds.", "PNG|PDF|SVG")] = None,
+    plot: Annotated[Path | None, output_file("Draw answers and thresholds.", "PNG|PDF|SVG")] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Fit thresholds with credible intervals to answers.

@@ -132,12 +132,12 @@ def _check(file: Path, profile: str | None) -> None:
 
 
 def stop(
-    url: Annotated[str | None, argument("URL of a board to set to zero as well.", "BOARD")] = None,
+    url: Annotated[str | None, argument("Also set this board to zero current.", "BOARD")] = None,
 ) -> None:
-    """Stop all runs of this user, and wait until each has confirmed zero.
+    """Stop all runs of this user, and wait until each has confirmed zero current.
 
-    Programs that are still starting will not open a board. The exit status is 0 only if there was a
-    run or a named board, and all have confirmed zero.
+    Programs that are still starting will not open a board. The exit status is 0 only if a run was
+    found or BOARD was given, and each has confirmed zero current.
     """
     from smarttouch.boards.run_registry import registry_folder, stop_all
 

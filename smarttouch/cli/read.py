@@ -196,8 +196,8 @@ def braille(
     source: Annotated[
         str | None,
         argument(
-            "A file (text: HTML, EPUB, DOCX …; cells: .brf; print: image, PDF), words, or - for "
-            "standard input. If a file is named like the words, write text:WORDS.",
+            "A file, words, or - for standard input. Files hold text (HTML, EPUB, DOCX …), Braille "
+            "(.brf) or print (image, PDF). If a file has the words as its name, write text:WORDS.",
             "TEXT|FILE|-",
             callback=or_standard_input,
         ),
@@ -230,8 +230,8 @@ def braille(
         raise BrailleError("there is nothing to read: give a text or a file, or --tables")
     if output is not None and (back or output.suffix.lower() != ".brf" or output.exists()):
         raise BrailleError(
-            f"cannot write {output}: cells are only written to a new .brf file; "
-            "redirect the output instead"
+            f"cannot write {output}: cells are written only to a new .brf file. For text or "
+            "another file, leave out --output and redirect the output"
         )
     say = partial(typer.echo, err=True)
     code = open_table(table_of(table, document.languages))
