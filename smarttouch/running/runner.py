@@ -10,7 +10,7 @@ from typing import Any
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.clock import SimulatedClock
-from smarttouch.base.errors import BoardStoppedError, SmartTouchError, SourceError
+from smarttouch.base.errors import BoardStoppedError, SilentBoardError, SmartTouchError, SourceError
 from smarttouch.base.events import Advice, Note, RunFailed
 from smarttouch.base.posix import priority_advice
 from smarttouch.base.stopping import StopRequest
@@ -115,7 +115,8 @@ class Runner:
                 with self._open_loop(context, pipeline) as loop:
                     yield loop
                     board.stop()
-                    report = board.report()
+                    with contextlib.suppress(SilentBoardError):
+                        report = board.report()
                 ended = stop.reason or source.ended
                 reported = source.notes[: source.notes_told]
                 notes = [words for words in self._notes() if words not in reported]
@@ -267,10 +268,12 @@ def _warnings(profile: Profile, bank: KernelBank, mode: Mode) -> Iterator[str]:
         )
 
 
-def _account(report: BoardReport, dose: Dose) -> list[str]:
+def _account(report: BoardReport | None, dose: Dose) -> list[str]:
     """Return two sentences: the counts of what was delivered, and the dose of the session."""
     return [
-        f"counted by the {report.by}: {report.slots} slots, pulses of at most "
+        "the board sent no report after the stop: what it delivered is unknown"
+        if report is None
+        else f"counted by the {report.by}: {report.slots} slots, pulses of at most "
         f"{report.max_current_ma:.3f} mA and {report.max_charge_uc:.3f} µC, {report.violations} "
         "violations of limits",
         f"dose: {dose.seconds:.3f} s of current, at most {dose.most_mc:.4f} mC through one "

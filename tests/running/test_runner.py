@@ -12,6 +12,7 @@ import smarttouch as st
 from smarttouch.base.errors import BoardClosedError, BoardError, BoardStoppedError
 from smarttouch.base.events import Advice, IntensityChanged, ModeChanged, RunEnded
 from smarttouch.base.stopping import StopRequest
+from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.kernels.bank import load_bank
 from smarttouch.plugins import ForceSource
 from smarttouch.profile.device import Calibrated
@@ -142,6 +143,21 @@ def test_an_interrupted_run_ends_at_once_and_its_program_goes_on():
         st.run("text:a long line of text", "memory:", seconds=60, listeners=[interrupt])
     assert 20 <= len(results) < 500
     assert st.run("text:a", "memory:", seconds=0.1).frames == 5
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_without_a_report_after_the_stop_its_counts_are_unknown(monkeypatch, answers):
+    report = LinkFirmware._report
+
+    def until_the_stop(board):
+        return report(board) if answers or board.books.reason != "stop" else b""
+
+    monkeypatch.setattr(LinkFirmware, "_report", until_the_stop)
+    listener = Noting()
+    statistics = st.run("text:a", "simulated:", seconds=0.1, listeners=[listener])
+    assert "0.1 s" in statistics.ended
+    assert (statistics.figures["pulses"] is not None) == answers
+    assert any("unknown" in str(event) for event in listener.events) != answers
 
 
 @pytest.mark.parametrize("stop", [st.Display.stop, lambda display: display.stopping.ask("a key")])
