@@ -97,7 +97,7 @@ class Contract(DriverContract):
     # The largest intensity that the ramp allows directly after zero.
     intensity, level_ua = 0.2, 480
     # Lines of the driver at which a stop is tested, each in a process of its own.
-    instants = 8 if WHOLE else 3
+    instants = 8 if WHOLE else 2
 
     @pytest.fixture
     def make_board(self, url, limits):

@@ -37,7 +37,6 @@ def receive(page, kind):
             page.send("seen")
 
 
-@pytest.mark.realtime
 def test_a_window_waits_for_its_page_and_shows_the_end_until_that_is_closed(start_program):
     run = start_program("live", "text:a?passes=1", "--window", "--profile", "smarttouch-4x4")
     address = FIRST.match(run.stderr.readline())[1]

@@ -44,33 +44,40 @@ class Kept(st.Listener):
 def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path, monkeypatch):
     # On both boards, the ramp uses the times stated in sequences, not the computer's clock.
     monkeypatch.setattr("smarttouch.boards.open.Board", partial(Board, claimed_time=True))
-    profile, found = st.load_profile(name), {}
-    for url, options in (("simulated:", {}), ("emulator:", {"books": tmp_path})):
+    profile = st.load_profile(name)
+
+    def run_on(url, **options):
         source = st.open_source("text:no?speed_mm_s=25", profile)
         display, kept = st.open_display(url, profile, **options), Kept()
         statistics = st.run(
             source, display, mode=mode, scan=scan, balance=balance, seed=1, intensity=1.0,
             listeners=[kept],
         )  # fmt: skip
-        figures = {name: statistics.figures[name] for name in FIGURES}
-        found[url] = display.board, kept, figures
-    (board, kept, figures), (other, its, its_figures) = found.values()
+        return display.board, kept, {name: statistics.figures[name] for name in FIGURES}
+
+    board, kept, figures = run_on("simulated:")
+    for attempt in range(3):
+        (books := tmp_path / str(attempt)).mkdir()
+        other, its, its_figures = run_on("emulator:", books=books)
+        # On a busy computer a sequence may arrive late, and the next one cuts it short.
+        if its_figures == figures:
+            break
     assert (figures, kept.sent, kept.force_n) == (its_figures, its.sent, its.force_n)
     assert board.capabilities == other.capabilities
     # Voltages come from ``emulator:`` with a delay: the last ones arrive after the last step.
     assert set(kept.volts) >= set(its.volts)
     assert [kept.volts[time_ns] for time_ns in its.volts] == list(its.volts.values())
     assert len(its.volts) > 10
-    (number, width_us, current_ua), slots = board.driver.take_pulses(), read_slots(tmp_path)
+    (number, width_us, current_ua), slots = board.driver.take_pulses(), read_slots(books)
     assert len(number) > 50
     np.testing.assert_array_equal(number, slots["number"])
     np.testing.assert_array_equal(current_ua, slots["current_ua"])
     peak_ua = np.abs(current_ua.astype(int)).max(axis=1)
     peak_uc = np.abs(slots["charge_uc"]).max(axis=1)
     np.testing.assert_allclose(width_us, 1e6 * peak_uc / peak_ua, rtol=1e-6)
-    books, state = vars(board.driver._firmware.books), read_state(tmp_path)
+    expected, state = vars(board.driver._firmware.books), read_state(books)
     assert {name: state[name] for name in BOOKS} == {
-        name: pytest.approx(books[name]) for name in BOOKS
+        name: pytest.approx(expected[name]) for name in BOOKS
     }
     assert (kept.shared > 50) == (profile.output.kind == "weighted" and scan == "auto")
     assert (state["recharges"] > 10) == balance
