@@ -44,7 +44,7 @@ _MINUS = "⠐⠤"
 _CAPITAL, _CAPITAL_WORD, _CAPITAL_PASSAGE, _CAPITALS_END = "⠠", "⠠⠠", "⠠⠠⠠", "⠠⠄"
 _NUMBER, _GRADE_1, _NUMBER_SPACE = "⠼", "⠰", "⠐"
 _ONE_QUOTE_OR_QUESTION, _CLOSING_QUOTE, _ANY_QUOTE, _SURE_QUOTE = "⠦", "⠴", "⠠⠶", "⠘⠦"
-_OPENING = frozenset(" ([{<—-/‘«")
+_OPENING = frozenset(" ([{<–—-/‘«")
 """After these signs and at a line's start, ⠦ opens a quotation. Elsewhere, it is a ? (Rule 7.5)."""
 
 _LETTER_OF = {cell: letter for letter, cell in _LETTERS.items()}

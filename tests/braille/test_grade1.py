@@ -62,7 +62,7 @@ LINES = st.text(st.sampled_from(string.ascii_letters + string.digits + "éÉñç
 
 
 @given(LINES)
-@example('A B C\'D’ ‘e’ 1.a,b 2 ..5 ?"?" x"y “?” x“ —“')
+@example('A B C\'D’ ‘e’ 1.a,b 2 ..5 ?"?" x"y “?” x“ —“ –?')
 @example("ABC DEF GHI1 2. 3")
 @example('0^0" 0^a0 x^2"')
 def test_its_own_cells_come_back(text):
