@@ -131,7 +131,7 @@ class LineLostError(BoardError):
 
 
 class SilentBoardError(BoardError):
-    """A board does not answer. After it was opened, it may still be starting."""
+    """A board does not respond when it is opened; it may still be starting."""
 
 
 class OtherDeviceError(BoardError):

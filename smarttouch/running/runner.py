@@ -10,7 +10,7 @@ from typing import Any
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.clock import SimulatedClock
-from smarttouch.base.errors import BoardStoppedError, SilentBoardError, SmartTouchError, SourceError
+from smarttouch.base.errors import BoardStoppedError, SmartTouchError, SourceError
 from smarttouch.base.events import Advice, Note, RunFailed
 from smarttouch.base.posix import priority_advice
 from smarttouch.base.stopping import StopRequest
@@ -115,7 +115,7 @@ class Runner:
                 with self._open_loop(context, pipeline) as loop:
                     yield loop
                     board.stop()
-                    with contextlib.suppress(SilentBoardError):
+                    with contextlib.suppress(BoardStoppedError):
                         report = board.report()
                 ended = stop.reason or source.ended
                 reported = source.notes[: source.notes_told]

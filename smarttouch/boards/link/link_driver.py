@@ -525,16 +525,7 @@ class LinkDriver(Driver):
         return replace(BoardReport(*counted), refused_packets=old + foreign, is_busy=bool(busy))
 
     def status(self) -> BoardReport:
-        """Return the board's report. If it reports more than this host sent, latch the board.
-        Raises SilentBoardError if the board sent no report after a stop."""
-        if self._last_report is None and self._line.is_stopped:
-            fault = self._session.fault
-            # A board that lost its host is at zero, which is what the stop required.
-            if fault is not None and not isinstance(fault, LineLostError):
-                raise fault
-            raise SilentBoardError(
-                f"the board at {self._line.name} sent no report after the stop: check its line"
-            )
+        """Return the board's report. If it reports more than this host sent, latch the board."""
         now, before, limits = self._last_report or self._ask_report(), self._report, self._limits
         largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
         for reported, allowed, unit in (
