@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 import smarttouch as st
-from smarttouch.base.errors import LevelNotReachedError, SmartTouchError
+from smarttouch.base.errors import BoardRestartedError, LevelNotReachedError, SmartTouchError
 from smarttouch.base.posix import prioritized
 from smarttouch.sources.force import FixedForce
 
@@ -55,7 +55,9 @@ def drive(board, seconds=60.0):
     """Send sequences to an open board directly, without a run, at real-time priority."""
     source, ends_s = st.open_source(TEXT, display.profile), time.monotonic() + seconds
     for step in st.steps(source, display.profile, intensity=0.05, scan="points"):
-        board.send(step.sequence)
+        # On a busy computer the board may restart.
+        with contextlib.suppress(BoardRestartedError):
+            board.send(step.sequence)
         time.sleep(step.sequence.period_us / 1e6)
         if time.monotonic() > ends_s:
             return

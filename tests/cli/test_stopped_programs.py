@@ -124,10 +124,7 @@ def test_a_stop_at_any_instant_reaches_every_program(start, start_program, runs)
         for process, books in programs:
             attempts, _ = told(process)
             refused = {"BoardStoppedError", "BoardClosedError", "BoardError"}
-            # On a busy computer a late sequence may end an attempt before the stop.
-            late = {"SequenceLateError", "BoardRestartedError"} & set(attempts.values())
-            assert set(attempts.values()) <= {"done", *late, *refused}
-            if not late:
-                assert attempts["another"] == attempts["another run"] == "BoardStoppedError"
-                assert read_state(books)["reason"] in ("stop", "start")
+            assert set(attempts.values()) <= {"done", *refused}
+            assert attempts["another"] == attempts["another run"] == "BoardStoppedError"
+            assert read_state(books)["reason"] in ("stop", "start")
         assert [read_state(books)["slots"] for _, books in programs] == slots
