@@ -100,8 +100,8 @@ class BoardReport:
     by: Literal["board", "host"] = "board"
     """Author of the report, board or host."""
     most_pulses: int | None = None
-    """Upper bound of the number of pulses; None if the board reports. If it is above `pulses`, the
-    host does not know the exact number, and `slots` and `pulses` are lower bounds."""
+    """Upper bound of the number of pulses; None in a report of the board. If this bound is above
+    `pulses`, the host does not know the number: `slots` and `pulses` are then lower bounds."""
 
 
 class HostStatistics:

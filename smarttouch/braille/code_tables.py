@@ -205,7 +205,7 @@ def known_tables() -> dict[str, str]:
 
 def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
     """Open a table by short name, by file name of a liblouis table, or by language tag. A tag such
-    as ``pt-BR`` selects the table of the language that has the fewest contractions."""
+    as ``pt-BR`` names a language; of its tables, the one with the fewest contractions is opened."""
     if _TAG.fullmatch(name):
         language = name.lower().partition("-")[0]
         name = next(

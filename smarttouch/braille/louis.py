@@ -17,7 +17,7 @@ JOINERS = "\u200c\u200d"
 """Invisible joiners, which have cells in some codes."""
 _LIBRARIES = ("liblouis.so.20", "liblouis.so", "liblouis.20.dylib", "liblouis.dylib")
 
-_DOTS = 0x8000  # code for the blank cell in cells that liblouis decodes (LOU_DOTS of liblouis)
+_DOTS = 0x8000  # code of a blank cell, for cells that liblouis decodes (LOU_DOTS in liblouis.h)
 _DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128  # values of ``translationModes`` in liblouis.h
 _LOG_OFF = 60000
 _LONGEST_NAME = 200

@@ -60,8 +60,8 @@ def emulate(
         str,
         argument(
             "Kind of device: link, kajimoto61, etactilekit, serial-array, hx711, loadcell. Options "
-            "follow a ?, as in 'link?electrodes=16&event=2 lift'. Instead of a kind, give a file "
-            "that --board 'KIND:PORT?record=FILE' recorded.",
+            "follow a ?, as in 'link?electrodes=16&event=2 lift'. You can also give a file that "
+            "was recorded with --board 'KIND:PORT?record=FILE'.",
             "KIND|FILE",
         ),
     ],

@@ -100,8 +100,8 @@ def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
 
 
 def _white_level(values: Pixels, black: float = 0.0) -> np.float64:
-    """Return the level of white at the bit depth that the largest level suggests, such as 255. If
-    the smallest level, ``black``, is negative, return the largest level minus ``black`` instead."""
+    """Return the level of white, such as 255 for 8 bits; the largest level suggests the bit depth.
+    If the smallest level, ``black``, is negative, return the largest level minus ``black``."""
     peak = float(values.max()) - black
     least = 1 if values.dtype.kind == "f" or peak <= 1 else 255
     return np.float64(peak if black < 0 < peak else max(least, 2 ** int(peak).bit_length() - 1))

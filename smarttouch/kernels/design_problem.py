@@ -56,10 +56,10 @@ def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
 
 
 def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[np.int_]]:
-    """Return the symmetries of a square, (2, 2) matrices with the identity first, that preserve
-    electrode shapes and the set of axon directions of each class. For the classes in
-    ``targets_of``, they also preserve the first direction, which is the direction of the target's
-    own axon."""
+    """Return symmetries of a square as (2, 2) matrices; the identity is first.
+
+    They preserve electrode shapes, and the set of axon directions of each class. For classes in
+    ``targets_of``, they also preserve the first direction: that of the target's own axon."""
     skin = profile.skin
     kinds = profile.electrodes.kinds
     upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in kinds)

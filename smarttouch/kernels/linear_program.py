@@ -107,9 +107,9 @@ class LinearProgram:
     An orbit is a set of electrodes with equal currents. w, (O,), is the current of one electrode of
     each orbit. ``size``, (O,), is the number of its electrodes. If several patterns are optimal,
     the costs in ``ties``, (O,) each, decide in turn: each keeps those with the smallest Σ cost·|w|.
-    ``worst`` receives the excess of each row, (N,), and returns the rows to add; by default, all
-    violated rows are added. If a solved program ``after`` is given, this program starts with its
-    rows, and t is at least 0.
+    The program is solved with some of its rows, then again with rows that were violated.
+    ``worst`` chooses the rows to add from the excess of each row, (N,); by default, it chooses all
+    violated rows. If a solved program ``after`` is given, start with its rows; t is at least 0.
     """
 
     def __init__(

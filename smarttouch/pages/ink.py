@@ -15,8 +15,8 @@ _CONTRAST = 0.12  # smallest contrast of ink, relative to paper
 _PALE = 0.2  # smallest contrast of pale print on a digital page, relative to paper
 _GRAINS = 6.0  # smallest contrast of ink, in standard deviations of the paper's grain
 _FEWEST = 2e-4  # a page with a smaller share of ink pixels is blank
-_CALM = 5.0  # paper whose gray levels vary less (standard deviation) has a local threshold
-_GRAINY = 9.0  # paper whose gray levels vary more (standard deviation) has a single threshold
+_CALM = 5.0  # paper with a smaller standard deviation of gray levels has a local threshold
+_GRAINY = 9.0  # paper with a larger standard deviation of gray levels has a single threshold
 
 
 @dataclass(frozen=True, eq=False)

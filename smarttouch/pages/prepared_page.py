@@ -201,7 +201,8 @@ _SIMILAR = 1.7  # a line of text has an x-height within this factor of a line th
 _MOST_OF_ALL = 0.8  # if no line is certainly text, lines must contain this share of the page's ink
 _OWN = (-1.8, 0.6)  # top and bottom of a line relative to the baseline, in x-heights
 _AROUND = (-1.7, 0.5)  # area around a line: top and bottom from the baseline, in letter heights
-_FOREIGN = 0.1  # largest ink around a line, per letter (up to `MANY`), relative to the line's ink
+_FOREIGN = 0.1  # largest other ink around a line of one letter, relative to the line's ink; lines
+# of N letters may have N times as much, of more than `MANY` letters `MANY` times as much
 _NEAR_FOREIGN = 0.5  # replaces `_FOREIGN` in a uniform line (`_EVEN`) of at least `_FEW` letters
 
 
@@ -221,7 +222,7 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
         left, right = max(0, round(line.left - size)), round(line.right + size)
         limit = _NEAR_FOREIGN if even and count >= _FEW else _FOREIGN
         area = int(line.letters.area.sum())
-        # If a line is one component that mostly lies in another line, it is a part of a letter.
+        # A line of one letter that mostly lies in another line is a part of a letter of that line.
         is_part = count == 1 and 2 * np.count_nonzero(rest[line.letters.box(0)]) < area
         limit = (limit * min(count, MANY) + (count == 1)) * area
         if np.count_nonzero(rest[top:bottom, left:right]) < limit and not is_part:

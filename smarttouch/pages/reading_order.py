@@ -11,13 +11,14 @@ from typing import TypeVar
 _SAME_LINE = 0.3  # largest distance between baselines in one line, in letter sizes
 _SPACE = 0.1  # smallest gap that becomes a space, in letter sizes
 _WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
-"""Smallest gap between columns, in letter sizes: for words, for numbers, and in pictures."""
+"""Smallest gaps between columns of words, columns of numbers, and columns in pictures, in letter
+sizes."""
 _APART = 2.5  # smallest vertical or horizontal gap between separate lines, in letter sizes
 _FLUSH = 0.4  # largest difference between the ends of justified lines, in letter sizes
 _FARTHER = 1.6  # smallest distance between blocks of rows, relative to the typical row distance
 _EDGE = 0.125  # height of the top and the bottom zone with running heads, relative to the page
-_WIDE_CELL = 5.0  # in images, smallest mean line width of prose (not table cells), in letter sizes
-_WIDER = 8.0  # in PDF files, smallest mean line width of prose (not table cells), in letter sizes
+_WIDE_CELL = 5.0  # in images, lines with a smaller mean width, in letter sizes, are table cells
+_WIDER = 8.0  # in PDF files, lines with a smaller mean width, in letter sizes, are table cells
 _WIDEST = 13.0  # smallest mean line width of prose with rows far apart (`_LOOSE`), in letter sizes
 _LOOSE = 1.5  # smallest distance of rows that are far apart, in letter sizes
 _FEWEST = 3  # with fewer rows, the widths of lines do not tell prose from tables

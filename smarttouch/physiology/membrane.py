@@ -259,7 +259,7 @@ class DrivingFunction:
     internode_mm: float
     end: End  # kind of ending, as in `Fiber`
     along: Array  # (K + 1,) 1/mV: weight of a node, then of its 1st to Kth neighbors on both sides
-    near_end: Array  # (H, L) 1/mV: replaces `along` in the first H drives; empty for "through"
+    near_end: Array  # (H, L) 1/mV: weights of the first H drives, instead of `along`; H may be 0
     # A node stops a passing spike if its hyperpolarizing drive is at least `block` times the drive
     # of the node that fired. `block` is infinite if no node stops spikes.
     block: float = np.inf

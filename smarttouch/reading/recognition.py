@@ -33,8 +33,8 @@ _WORD, _COLUMNS = "5", 12
 """In Tesseract's table: the value of column ``level`` in rows of words, and the number of columns:
 level, page, block, paragraph, line, word, left, top, width, height, confidence and text."""
 STRIP_MARGIN = 0.25
-"""White margin around a strip, relative to its height. On noisy and blurred strips, it caused fewer
-errors than 0.15 and 0.45."""
+"""White margin around a strip, relative to its height. On noisy and blurred strips, this value
+caused fewer errors than 0.15 and 0.45."""
 _STRIP_PX, _NARROWER = 32, 0.85
 """Lines are scaled to this height, ascender to descender, for recognition. Then their width is
 multiplied by `_NARROWER`. Larger images take longer, and recognition is not better."""

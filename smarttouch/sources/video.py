@@ -1,4 +1,5 @@
-"""Videos and image folders as sources. A read returns the image that is due, or the next image."""
+"""Videos and image folders as sources. A read returns the image that is due at this
+time, or each image in turn."""
 
 import contextlib
 import itertools

@@ -329,10 +329,10 @@ _SENTENCES = {
     "the net charge, it must carry between 0 and {allowed:g} µC",
     "passes": "{value} sequences would be delivered within a second, and limits.rate_hz allows "
     "{allowed}: send sequences less often",
-    "pulses_hz": "electrode {electrode}: {value:g} perceptible pulses are above the limit of "
-    "{allowed:g} for this time (one pass or one second): lower the rate",
-    "mean_ma": "electrode {electrode}: {value:g} µC are above the limit of {allowed:g} µC for "
-    "this time (one pass or one second): lower the rate",
+    "pulses_hz": "electrode {electrode}: {value:g} perceptible pulses in one pass or in one "
+    "second, above the limit of {allowed:g}: lower the rate",
+    "mean_ma": "electrode {electrode}: {value:g} µC in one pass or in one second, above the "
+    "limit of {allowed:g} µC: lower the rate",
     "net_ma": "electrode {electrode}: the net charge in a second would be {value:g} µC, above the "
     "limit of {allowed:g} µC: lower the rate, or add recharge phases",
     "order": "the sequence has time {value} ns, which is not after the previous sequence: the time "
@@ -350,7 +350,7 @@ _LIMITS = {
     "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
     "order": "time_ns",
 }  # fmt: skip
-"""Name of the limit (`SafetyError.limit`), where the key of `_SENTENCES` is another word."""
+"""Names of limits (`SafetyError.limit`) that differ from their keys in `_SENTENCES`."""
 
 
 def refusal(

@@ -43,7 +43,7 @@ from smarttouch.stimulation.slots import FrameSlots, PointSlots, Slots, constant
 WINDOW_US = 1_100_000
 """Length, µs, of the window in which the scheduler limits net charge. The limit is for 1 s, but a
 board that counts time in tenths of a second can include the charge of up to 1.1 s."""
-GUARD_PC = 0.95 * NET_PC  # largest planned net charge of the last n passes, for every n
+GUARD_PC = 0.95 * NET_PC  # largest planned net charge of any number of successive passes
 _MEAN_PC = PLANNED * NET_PC
 _FREE_PC = NET_PC / 2
 _MOST_PC = 0.99 * NET_PC

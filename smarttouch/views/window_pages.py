@@ -282,7 +282,7 @@ class Pages:
             # `act` may wait for the source. Use a thread, so that pages can stop the run meanwhile.
             await asyncio.to_thread(steering.act, page.number, what)
         elif not steering.act(page.number, what) and what in _AT_ZERO:
-            # A page without control cannot set the current to zero: end the run instead.
+            # This page does not control the run, so it cannot set the current to zero: end the run.
             await self._stop()
 
     async def _feed(self, socket: "WebSocket", page: ConnectedPage) -> None:
