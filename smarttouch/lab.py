@@ -6,7 +6,6 @@ from smarttouch.braille.code_tables import open_table as open_table
 from smarttouch.braille.page_layout import lay_out as lay_out
 from smarttouch.experiments.answers import read_table as read_table
 from smarttouch.experiments.answers import usual_model as usual_model
-from smarttouch.experiments.catalog import Experiment as Experiment
 from smarttouch.experiments.experiment_session import open_experiment as open_experiment
 from smarttouch.experiments.findings import (
     discrimination_figure as discrimination_figure,
@@ -14,6 +13,7 @@ from smarttouch.experiments.findings import (
 from smarttouch.experiments.findings import judge_answers as judge_answers
 from smarttouch.experiments.observers import make_observer as make_observer
 from smarttouch.experiments.procedures import Condition as Condition
+from smarttouch.experiments.standard_experiments import Experiment as Experiment
 from smarttouch.experiments.study import Study as Study
 from smarttouch.experiments.study import run_study as run_study
 from smarttouch.experiments.study import study_sums as study_sums

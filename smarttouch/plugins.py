@@ -11,7 +11,7 @@ from smarttouch.boards.driver import Line as Line
 from smarttouch.boards.impedance import Impedance as Impedance
 from smarttouch.boards.reports import BoardReport as BoardReport
 from smarttouch.boards.reports import Capabilities as Capabilities
-from smarttouch.profile.device import Output as Output
+from smarttouch.profile.profile_tables import Output as Output
 from smarttouch.sources.force import ForceSource as ForceSource
 from smarttouch.sources.live_capture import ImageDevice as ImageDevice
 from smarttouch.sources.live_capture import LiveSource as LiveSource

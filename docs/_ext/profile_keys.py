@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from smarttouch.profile.device import Calibrated
 from smarttouch.profile.electrodes import ArrayLayout
 from smarttouch.profile.profile import Profile
+from smarttouch.profile.profile_tables import Calibrated
 from smarttouch.profile.toml_tables import LARGEST, Table
 
 _UNITS = {

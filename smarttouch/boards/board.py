@@ -32,7 +32,7 @@ from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.impedance import Impedance, measure_by_probes
 from smarttouch.boards.reports import LONGEST_REPEAT, BoardReport, Capabilities
 from smarttouch.boards.shutdown import enter, leave
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, Ramp, SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
 from smarttouch.stimulation.sequence_limits import Dose

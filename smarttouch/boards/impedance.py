@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
 from smarttouch.boards.reports import Capabilities
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.probe_scans import probe_sequences
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence

@@ -9,7 +9,7 @@ from smarttouch.base.urls import Registry, read_options
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Driver
 from smarttouch.profile import DEFAULT_PROFILE
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 BOARDS = Registry(

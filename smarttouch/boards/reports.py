@@ -11,7 +11,7 @@ import numpy as np
 from platformdirs import user_state_path
 
 from smarttouch.base.files import make_folder, write_bytes
-from smarttouch.stimulation.recharge import ChargeBalance
+from smarttouch.stimulation.charge_balance import ChargeBalance
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 Polarity = Literal["anodic", "cathodic"]

@@ -97,7 +97,7 @@ def run_listed(
 
 
 def _list_all() -> None:
-    from smarttouch.experiments.catalog import CATALOG
+    from smarttouch.experiments.standard_experiments import CATALOG
 
     for name, entry in CATALOG.items():
         typer.echo(f"{name:13} {entry.about} [{', '.join(entry.procedures)}]")

@@ -248,7 +248,7 @@ class SensorArray(SensorFirmware):
     """Sensor array of 64 x 64 pixels that sees random blocks moving from right to left."""
 
     def __init__(self, rate_hz: float) -> None:
-        from smarttouch.sources.serial_array import encode_frame
+        from smarttouch.sources.serial_sensors import encode_frame
 
         super().__init__(rate_hz)
         self._encode = encode_frame
@@ -267,7 +267,7 @@ class EmulatedLoadCell(SensorFirmware):
     HX711 sketch, or FORCE packets if ``framed``."""
 
     def __init__(self, force_n: float, framed: bool = False, rate_hz: float = 80.0) -> None:
-        from smarttouch.sources.serial_array import encode_force
+        from smarttouch.sources.serial_sensors import encode_force
 
         super().__init__(rate_hz)
         self._encode = encode_force

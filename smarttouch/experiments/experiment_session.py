@@ -11,9 +11,9 @@ from pathlib import Path
 
 from smarttouch.base.errors import ExperimentError, SmartTouchError
 from smarttouch.experiments.answers import AnswerFile, Row, Value
-from smarttouch.experiments.catalog import trials_of
 from smarttouch.experiments.observers import FITTED, Observer
 from smarttouch.experiments.procedures import LIMITS, middle_and_spread
+from smarttouch.experiments.standard_experiments import trials_of
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import Answer, Setup, Trial, Trials
 

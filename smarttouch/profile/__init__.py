@@ -1,7 +1,7 @@
 """Profiles: one device on one finger, with calibrations and limits."""
 
-from smarttouch.profile.device import ForceLaw, Optics, Skin
 from smarttouch.profile.profile import Profile
+from smarttouch.profile.profile_tables import ForceLaw, Optics, Skin
 from smarttouch.profile.toml_files import DEFAULT_PROFILE, list_profiles, load_profile
 
 __all__ = [

@@ -14,8 +14,8 @@ from smarttouch.profile import Profile
 from smarttouch.running.pipeline import Pipeline, Regulator
 from smarttouch.running.recording import RecordedRun
 from smarttouch.running.recording_format import RecordedStep
-from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
+from smarttouch.stimulation.charge_balance import ChargeBalance, RechargeRules
+from smarttouch.stimulation.impedance_control import ImpedanceControl
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 KEPT = 20  # largest number of listed differences
@@ -107,14 +107,14 @@ def rebuild_pipeline(recording: RecordedRun, profile: Profile, bank: KernelBank)
     """Return a pipeline in the state that it had at the start of the recorded run."""
     run = recording.run
     pipeline = Pipeline(profile, bank, run, run.timing, vibrated=run.vibrated, in_sums=run.in_sums)
-    adaptation = ledger = recharge = None
+    impedance = ledger = recharge = None
     if run.hold is not None:
         if run.compliance_v is None:
             raise RecordingError(
                 f"the settings in {recording.path} are incomplete: the setting 'hold' needs "
                 "compliance_v, which is missing"
             )
-        adaptation = Adaptation(profile, run.hold, run.compliance_v)
+        impedance = ImpedanceControl(profile, run.hold, run.compliance_v)
     if run.balance:
         ledger = ChargeBalance(len(profile.electrodes))
         if run.carried_pc:
@@ -127,7 +127,7 @@ def rebuild_pipeline(recording: RecordedRun, profile: Profile, bank: KernelBank)
             ledger.charge_pc[:] = run.carried_pc
         if run.recharge:
             recharge = RechargeRules.of(profile, run.timing)
-    pipeline.regulator = Regulator(adaptation, ledger, recharge)
+    pipeline.regulator = Regulator(impedance, ledger, recharge)
     return pipeline
 
 

@@ -19,7 +19,7 @@ from smarttouch.base.errors import SmartTouchError, TableError, choice_of, requi
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.profile import Profile
 from smarttouch.profile.toml_tables import Table, table_error
-from smarttouch.stimulation.adaptation import Hold
+from smarttouch.stimulation.impedance_control import Hold
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy, unsupported_reason
 
 _CHOICES = {"mode": [*Mode], "scan": ["auto", "points"], "hold": ["charge", "energy"]}

@@ -17,9 +17,9 @@ from smarttouch.profile.ceilings import CEILING_NET_MA
 from smarttouch.running.config import RunConfig
 from smarttouch.running.step import Measured, Step
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
-from smarttouch.stimulation.adaptation import RESERVED, Adaptation
+from smarttouch.stimulation.charge_balance import ChargeBalance, RechargeRules, add_recharge
+from smarttouch.stimulation.impedance_control import RESERVED, ImpedanceControl
 from smarttouch.stimulation.line_cue import LineCueMapper
-from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_recharge
 from smarttouch.stimulation.safety_gate import Ramp
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence, ScanTiming
@@ -34,11 +34,11 @@ _ROUNDING_UC = 0.02  # largest net charge, µC, due to the rounding of recharge 
 class Regulator:
     """Feedback from measured voltages and net charge to the next sequences.
 
-    ``adaptation`` keeps charge or energy constant while impedance drifts. ``ledger`` contains the
+    ``impedance`` keeps charge or energy constant while impedance drifts. ``ledger`` contains the
     net charge of each electrode. Recharge phases or reversed scans bring this charge back to zero.
     """
 
-    adaptation: Adaptation | None = None
+    impedance: ImpedanceControl | None = None
     ledger: ChargeBalance | None = None
     recharge: RechargeRules | None = None
     _scans: int = 0
@@ -67,10 +67,10 @@ class Regulator:
     def notes(self) -> list[str]:
         """Return notes for the user after the run."""
         notes = []
-        if self.adaptation is not None and (limited := self.adaptation.limited):
-            end = "full current" if self.adaptation.holds == "energy" else "longest width"
+        if self.impedance is not None and (limited := self.impedance.limited):
+            end = "full current" if self.impedance.holds == "energy" else "longest width"
             notes.append(
-                f"{self.adaptation.holds} could not be kept constant at {len(limited)} sites, "
+                f"{self.impedance.holds} could not be kept constant at {len(limited)} sites, "
                 f"because pulses there have reached their {end}"
             )
         if self._reversed:
@@ -191,9 +191,9 @@ class Pipeline:
         the voltages that the board has measured since the last input.
         """
         regulator = self.regulator
-        if regulator.adaptation is not None:
+        if regulator.impedance is not None:
             for measured in observed:
-                regulator.adaptation.observe(*measured)
+                regulator.impedance.observe(*measured)
         tactile = given if isinstance(given, Stimulus) else self._mapper.map(given, self.mode)
         pressure, time_ns = force_gate(given.force_n, self._profile.force), given.time_ns
         wanted, activation = pressure * (level * tactile.level), tactile.activation
@@ -206,7 +206,7 @@ class Pipeline:
             if not np.delete(activation, Afferent.PC, axis=0).any():
                 # Only the vibrator stimulates. Its ramp has been applied above.
                 wanted, strength = self._vibration, 1.0
-        sequence = scan.schedule(tactile, wanted, pressure, strength, regulator.adaptation)
+        sequence = scan.schedule(tactile, wanted, pressure, strength, regulator.impedance)
         if allowed is None:
             ppb, lasting_ns = parts_per_billion(sequence.intensity), 1000 * sequence.period_us
             flowing_ppb = strength_ppb(self._limits, ppb, sequence.peak_pc)
@@ -280,7 +280,7 @@ def make_regulator(
             "If the connection is lost, this board keeps repeating its last pattern: keep the "
             "power switch within reach."
         )
-    adaptation = ledger = recharge = None
+    impedance = ledger = recharge = None
     if config.hold is not None:
         if not can.measures or can.compliance_v is None:
             raise BoardError(
@@ -298,7 +298,7 @@ def make_regulator(
                 "values: raise the intensity if needed. If the skin gets wet, currents rise, at "
                 "most to the requested values."
             )
-        adaptation = Adaptation(profile, config.hold, can.compliance_v)
+        impedance = ImpedanceControl(profile, config.hold, can.compliance_v)
     if config.balance:
         if can.recharges:
             recharge = RechargeRules.of(profile, board.driver.timing)
@@ -315,4 +315,4 @@ def make_regulator(
             )
         ledger = ChargeBalance(can.electrodes)
         ledger.charge_pc[:] = board.net_charge_pc
-    return Regulator(adaptation, ledger, recharge)
+    return Regulator(impedance, ledger, recharge)

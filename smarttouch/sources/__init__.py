@@ -21,15 +21,15 @@ SOURCES = Registry(
     {
         "brltty": "smarttouch.reading.brltty:BrailleDisplaySource",
         "camera": "smarttouch.sources.camera:open_camera",
-        "frames": "smarttouch.sources.video:open_frames",
+        "frames": "smarttouch.sources.image_sequences:open_frames",
         "page": "smarttouch.sources.virtual_finger:open_page",
         "recording": "smarttouch.running.recorded_source:open_recording",
-        "serial-array": "smarttouch.sources.serial_array:open_serial_array",
+        "serial-array": "smarttouch.sources.serial_sensors:open_serial_array",
         "socket": "smarttouch.instruments.socket_source:SocketSource",
         "text": "smarttouch.sources.virtual_finger:open_text",
         "texture": "smarttouch.instruments.electric_mouse:open_texture_source",
         "vibration": "smarttouch.instruments.color_mix:open_vibration",
-        "video": "smarttouch.sources.video:open_video",
+        "video": "smarttouch.sources.image_sequences:open_video",
     },
 )
 _NOT_IN_URLS = ("light_on_dark", "mode", "rate_hz", "display", "vibrated")  # options set by the run

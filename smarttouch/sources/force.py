@@ -2,7 +2,7 @@
 
 ``hx711:`` reads lines of text from Arduino sketches for the HX711. The default speed is 57,600
 baud, as in the examples of the HX711 library; ``hx711:PORT?baud=115200`` sets another speed.
-``loadcell:`` reads FORCE packets, see `smarttouch.sources.serial_array`. The profile's
+``loadcell:`` reads FORCE packets, see `smarttouch.sources.serial_sensors`. The profile's
 ``force.curve`` converts readings to newtons.
 """
 
@@ -22,7 +22,7 @@ from smarttouch.base.stopping import Closing
 from smarttouch.base.urls import Registry
 from smarttouch.base.wire.port import LINE_ERRORS, Port, open_port
 from smarttouch.profile import Profile
-from smarttouch.sources.serial_array import PacketReadings, TextReadings, read_available
+from smarttouch.sources.serial_sensors import PacketReadings, TextReadings, read_available
 from smarttouch.sources.source_contract import Device, DeviceWarnings
 
 LARGEST_FIXED_N = 20.0

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from smarttouch.base.errors import BoardError
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_limits import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 

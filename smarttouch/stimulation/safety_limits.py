@@ -27,7 +27,7 @@ from smarttouch.profile.ceilings import (
     CEILING_TOTAL_MA,
     SHORTEST_RAMP_S,
 )
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 
 PPB = 1_000_000_000  # intensities are compared in parts per billion
 LONGEST_RAMP_S = 10.0

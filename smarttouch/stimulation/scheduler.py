@@ -19,7 +19,7 @@ from smarttouch.base.errors import ScheduleError
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import ForceLaw, Profile
-from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.impedance_control import ImpedanceControl
 from smarttouch.stimulation.safety_gate import FIRST_NS, MOST_STEP_NS
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import (
@@ -318,7 +318,7 @@ class ScanScheduler:
         intensity: float,
         pressure: float = 1.0,
         allowed: float = 1.0,
-        adaptation: Adaptation | None = None,
+        impedance: ImpedanceControl | None = None,
     ) -> ScanSequence:
         """Return the sequence for a tactile image at an intensity and a pressure in [0, 1].
 
@@ -333,9 +333,9 @@ class ScanScheduler:
             due, self.asked_us = self._rates.due(image.time_ns, pressure)
         else:
             due, self.asked_us = self._active(image.activation, image.period_us), image.period_us
-        parts = self._slots(due, image.activation, intensity, adaptation)
+        parts = self._slots(due, image.activation, intensity, impedance)
         if intensity > allowed:
-            parts, intensity = self._within_ramp(parts, due, image, intensity, allowed, adaptation)
+            parts, intensity = self._within_ramp(parts, due, image, intensity, allowed, impedance)
         slots, pulses_us = len(parts.site), sum(parts.width_us.tolist())
         least_us, mean_us = max(self.asked_us, pulses_us / self._duty), 0.0
         if slots:
@@ -369,7 +369,7 @@ class ScanScheduler:
         due: tuple[Afferent, ...],
         activation: NDArray[np.float32],
         intensity: float,
-        adaptation: Adaptation | None,
+        impedance: ImpedanceControl | None,
     ) -> Slots:
         """Return the slots of all due classes; if no class is due, there are no slots."""
         parts = []
@@ -377,7 +377,7 @@ class ScanScheduler:
             maker = self._makers[afferent]
             parts.append(maker.slots(activation[afferent], intensity if due else 0.0))
         slots = parts[0] if len(parts) == 1 else joined(parts)
-        return slots if adaptation is None or not len(slots.site) else adaptation.apply(slots)
+        return slots if impedance is None or not len(slots.site) else impedance.apply(slots)
 
     def _within_ramp(
         self,
@@ -386,7 +386,7 @@ class ScanScheduler:
         image: TactileImage,
         wanted: float,
         allowed: float,
-        adaptation: Adaptation | None,
+        impedance: ImpedanceControl | None,
     ) -> tuple[Slots, float]:
         """Return slots weakened to the allowed strength, and their intensity."""
         ppb, charge_pc = parts_per_billion(wanted), peak_pc(slots.current_ua, slots.width_us)
@@ -399,7 +399,7 @@ class ScanScheduler:
             if planned_ppb <= strongest * PPB:
                 break
             intensity = wanted * strongest * PPB / planned_ppb
-            slots = self._slots(due, image.activation, intensity, adaptation)
+            slots = self._slots(due, image.activation, intensity, impedance)
             if slots.current_ua.any():
                 break
         return slots, intensity

@@ -17,7 +17,7 @@ from smarttouch.base.errors import BoardRestartedError, SequenceLateError
 from smarttouch.base.posix import prioritized
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import make_board
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.testing.driver_contract import DriverContract

@@ -17,7 +17,7 @@ from smarttouch.boards.open import make_board
 from smarttouch.boards.reports import Capabilities
 from smarttouch.boards.run_registry import registry_folder
 from smarttouch.emulator.device_lines import PtyLine
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises

@@ -18,7 +18,7 @@ from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_rules import BrokenRule, LinkRules
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.probe_scans import probe_sequences
 from smarttouch.testing.driver_contract import (
     LATE_NS,

@@ -28,7 +28,7 @@ from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmw
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.manual_kit import ManualKit
 

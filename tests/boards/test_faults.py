@@ -24,7 +24,7 @@ from smarttouch.boards import driver
 from smarttouch.boards.link import MessageKind
 from smarttouch.boards.open import make_board
 from smarttouch.boards.reports import HostStatistics, clear_latch, find_latch, latch
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..support.checks import raises

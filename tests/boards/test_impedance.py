@@ -13,8 +13,8 @@ from smarttouch.boards.impedance import judge, measure_by_probes
 from smarttouch.boards.open import make_board
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile import load_profile
-from smarttouch.profile.device import Output
 from smarttouch.profile.kit_scales import BAND, NOMINAL_UA, measured_scale
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.probe_scans import probe_sequences
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 

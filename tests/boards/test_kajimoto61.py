@@ -9,7 +9,7 @@ import pytest
 from smarttouch.base.errors import BoardError
 from smarttouch.boards.board import Board
 from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 

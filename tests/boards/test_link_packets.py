@@ -33,7 +33,7 @@ from smarttouch.emulator.drivers import SimulatedDriver
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import decode_head, decode_lists
 from smarttouch.emulator.link_rules import Room
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence
 
 from ..support.checks import raises

@@ -21,7 +21,7 @@ from smarttouch.emulator.devices import EmulatedLoadCell, SensorArray, SensorFir
 from smarttouch.emulator.firmware import read_slots, read_state
 from smarttouch.sources import open_source
 from smarttouch.sources.force import open_force
-from smarttouch.sources.serial_array import CellReading, MessageStream, TextReadings
+from smarttouch.sources.serial_sensors import CellReading, MessageStream, TextReadings
 
 from ..boards.fresh import starter, until
 from ..support.processes import Forked, emulator

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.catalog import trials_of
 from smarttouch.experiments.experiment_session import open_experiment
 from smarttouch.experiments.observers import SimulatedObserver
+from smarttouch.experiments.standard_experiments import trials_of
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import Answer, Setup
 from smarttouch.kernels.bank import load_bank

@@ -18,7 +18,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline, Regulator
 from smarttouch.running.recording import RecordedRun
 from smarttouch.running.step import StepResult
-from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
+from smarttouch.stimulation.charge_balance import ChargeBalance, RechargeRules
 from smarttouch.stimulation.scan_sequence import ScanTiming
 
 from ..support.checks import raises

@@ -19,8 +19,8 @@ from smarttouch.running.display import open_display
 from smarttouch.running.pipeline import Pipeline, Regulator, make_regulator
 from smarttouch.running.runner import run
 from smarttouch.sources.source_contract import Frame, Pose, Stimulus, StimulusSource
-from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
+from smarttouch.stimulation.charge_balance import ChargeBalance, RechargeRules
+from smarttouch.stimulation.impedance_control import ImpedanceControl
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanTiming
 
@@ -281,7 +281,7 @@ def regulated(pipeline_of, make_frame, patch):
 
 
 def test_what_was_measured_is_kept_and_changes_what_is_sent(profile, regulated):
-    steps = regulated(Regulator(Adaptation(profile, "energy", 300.0)), None, 50, 100)
+    steps = regulated(Regulator(ImpedanceControl(profile, "energy", 300.0)), None, 50, 100)
     assert [len(step.observed) for step in steps] == [0, 1, 1]
     assert steps[2].observed[0][0] is steps[1].sequence
     peaks = [np.abs(step.sequence.current_ua.astype(int)).max() for step in steps]
@@ -296,14 +296,14 @@ def test_a_board_with_one_width_holds_energy_and_no_charge(profile, timing):
 
     kind = type("Measuring", (MemoryDriver,), {"timing": timing, "open": measures})
     with board_without_finger(profile, kind) as board:
-        assert make_regulator(board, profile, RunConfig(hold="energy"), print).adaptation
+        assert make_regulator(board, profile, RunConfig(hold="energy"), print).impedance
         with raises(BoardError, names="hold=charge"):
             make_regulator(board, profile, RunConfig(hold="charge"), print)
 
 
 def test_the_user_is_told_what_regulation_could_not_do(profile, regulated):
     """Pulses of this profile have the largest allowed width: hold=charge cannot lengthen them."""
-    held = Regulator(Adaptation(profile, "charge", 100.0))
+    held = Regulator(ImpedanceControl(profile, "charge", 100.0))
     carried = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
     carried.ledger.charge_pc[:2] = [9_000_000, -9_000_000]
     reversing = Regulator(ledger=ChargeBalance(64))

@@ -15,7 +15,7 @@ from smarttouch.base.stopping import StopRequest
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.kernels.bank import load_bank
 from smarttouch.plugins import ForceSource
-from smarttouch.profile.device import Calibrated
+from smarttouch.profile.profile_tables import Calibrated
 from smarttouch.running.check_recording import check_recording
 from smarttouch.running.config import RunConfig
 from smarttouch.running.runner import Runner

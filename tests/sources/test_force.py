@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from smarttouch.base.errors import SourceError
 from smarttouch.sources import force as forces
 from smarttouch.sources.force import FRESH_S, CellWatch, open_cell, open_force
-from smarttouch.sources.serial_array import (
+from smarttouch.sources.serial_sensors import (
     LONGEST_LINE,
     TextReadings,
     encode_force,

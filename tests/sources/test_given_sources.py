@@ -13,7 +13,7 @@ from smarttouch.base.errors import SmartTouchError, SourceError
 from smarttouch.profile import load_profile
 from smarttouch.running.check_recording import assert_replays
 from smarttouch.sources import open_source, source_of, source_url
-from smarttouch.sources.serial_array import encode_frame
+from smarttouch.sources.serial_sensors import encode_frame
 from smarttouch.sources.source_contract import (
     Frame,
     OpticalSource,
@@ -24,7 +24,7 @@ from smarttouch.sources.source_contract import (
 from smarttouch.testing.source_contracts import SourceContract
 
 from ..support.checks import raises
-from .test_video import write_clip
+from .test_image_sequences import write_clip
 
 GRAY = np.arange(64, dtype=np.uint8).reshape(8, 8)
 

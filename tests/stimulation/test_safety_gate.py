@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import SafetyError
 from smarttouch.profile import load_profile
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import (
     LEEWAY_PPB,
     MOST_STEP_NS,

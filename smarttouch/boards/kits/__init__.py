@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
-from smarttouch.profile.device import Output
 from smarttouch.profile.kit_scales import NOMINAL_UA, require_in_band
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 

@@ -29,7 +29,7 @@ from smarttouch.boards.kits import etactilekit_line as wire
 from smarttouch.boards.kits import one_against_all, require_kit, steps_of
 from smarttouch.boards.kits.etactilekit_line import ETactileKitLine, Readings, Settings, Span
 from smarttouch.boards.reports import Capabilities
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence, ScanTiming
 

@@ -27,7 +27,7 @@ from smarttouch.boards import kits
 from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.kits import one_against_all, require_kit, steps_of
 from smarttouch.boards.reports import Capabilities
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence, ScanTiming
 

@@ -26,7 +26,7 @@ from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.link import HALF, VERSION, Feature, Message, MessageKind, Refusal, Rule
 from smarttouch.boards.link import sequence_encoding as encoding
 from smarttouch.boards.reports import BoardReport, Capabilities
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable
 

@@ -19,7 +19,7 @@ from smarttouch.boards.link.link_driver import LinkDriver, LinkSession
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import BoardSession
-from smarttouch.profile.device import Output
+from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ...support.scans import unproved

@@ -14,7 +14,7 @@ from PIL import Image
 
 from smarttouch.base.errors import SourceError
 from smarttouch.sources import open_source
-from smarttouch.sources.video import MOST_DECODED, Clip, ClipSource
+from smarttouch.sources.image_sequences import MOST_DECODED, Clip, ClipSource
 
 from ..support.checks import numbers_in, raises
 from ..support.full import WHOLE

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.recharge import (
+from smarttouch.stimulation.charge_balance import (
     ChargeBalance,
     RechargeRules,
     add_recharge,

@@ -11,11 +11,11 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ExperimentError
 from smarttouch.base.events import Marked, Note
 from smarttouch.emulator.drivers import SimulatedDriver
-from smarttouch.experiments.catalog import CATALOG, trials_of
 from smarttouch.experiments.free_stimulation import (
     FreeSource,
     raise_to_device_limits,
 )
+from smarttouch.experiments.standard_experiments import CATALOG, trials_of
 from smarttouch.experiments.trials import Answer, Setup
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile

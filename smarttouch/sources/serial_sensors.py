@@ -401,5 +401,5 @@ class SerialArrayDevice(ImageDevice):
             raise SourceError(
                 f"{self._name} sends no frames: check its speed (now "
                 f"{self._baud} baud) and that the device sends the format of "
-                "smarttouch/sources/serial_array.py"
+                "smarttouch/sources/serial_sensors.py"
             )

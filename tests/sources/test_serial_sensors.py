@@ -14,7 +14,7 @@ from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.base.wire.framing import Deframer, WirePacket, frame_packet
 from smarttouch.emulator.device_lines import PtyLine
 from smarttouch.sources import open_source, serial_array
-from smarttouch.sources.serial_array import (
+from smarttouch.sources.serial_sensors import (
     LARGEST_BODY,
     NO_READING,
     VERSION,

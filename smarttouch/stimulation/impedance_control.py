@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 Hold = Literal["charge", "energy"]  # quantity that is kept constant
 
 
-class Adaptation:
+class ImpedanceControl:
     """Controller of currents and pulse widths, by the measured voltage of each site.
 
     If ``hold`` is "charge", pulses near the compliance voltage become weaker and longer. The board

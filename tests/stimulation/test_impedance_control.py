@@ -9,7 +9,7 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import Profile, load_profile
-from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.impedance_control import ImpedanceControl
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanTiming
 from smarttouch.stimulation.scheduler import ScanScheduler
@@ -40,7 +40,7 @@ class Finger:
     """Simulated finger with one resistance per electrode, driven with impedance control."""
 
     def __init__(self, profile, hold, timing=None):
-        self.adaptation = Adaptation(profile, hold, COMPLIANCE_V)
+        self.impedance = ImpedanceControl(profile, hold, COMPLIANCE_V)
         self.scan = ScanScheduler(
             profile, load_bank(profile), (Afferent.RA,), profile.pulse.rate_hz, timing
         )
@@ -52,12 +52,12 @@ class Finger:
         self.time_ns += 20_000_000
         rows = np.zeros((3, len(self.kohm)), np.float32)
         rows[Afferent.RA] = activation
-        image, adaptation = TactileImage(rows, self.time_ns, 1.0), self.adaptation
+        image, impedance = TactileImage(rows, self.time_ns, 1.0), self.impedance
         asked = self.scan.schedule(image, intensity)
-        sent = self.scan.schedule(image, intensity, adaptation=adaptation) if adapted else asked
+        sent = self.scan.schedule(image, intensity, impedance=impedance) if adapted else asked
         peak_ma = np.abs(sent.current_ua.astype(float)).max(axis=1) / 1000
         volts = np.minimum(self.kohm[sent.site] * peak_ma, COMPLIANCE_V)
-        self.adaptation.observe(sent, volts.astype(np.float32))
+        self.impedance.observe(sent, volts.astype(np.float32))
         delivered_uc = volts / self.kohm[sent.site] * sent.width_us / 1000
         return asked, sent, delivered_uc, volts
 
@@ -84,7 +84,7 @@ def test_charge_is_held_while_an_electrode_dries(profile):
         assert others == pytest.approx(1, abs=1e-6)
     assert np.abs(lost).max() < 0.015
     assert lost_plain[-1] > 0.3
-    assert finger.adaptation.limited == ()
+    assert finger.impedance.limited == ()
 
 
 def test_where_pulses_cannot_be_longer_that_is_reported():
@@ -93,12 +93,12 @@ def test_where_pulses_cannot_be_longer_that_is_reported():
     for _ in range(30):
         _, sent, _, _ = finger.touch()
     slot = np.flatnonzero(sent.site == 9)
-    assert finger.adaptation.limited == (9,)
+    assert finger.impedance.limited == (9,)
     assert sent.width_us[slot] == 200
     finger.kohm[9] = KOHM
     for _ in range(30):
         finger.touch()
-    assert finger.adaptation.limited == ()
+    assert finger.impedance.limited == ()
 
 
 @pytest.mark.parametrize("drift", sample([0.25, 4.0]))
@@ -114,7 +114,7 @@ def test_energy_is_held_there_and_back(drift):
         assert now * volts == pytest.approx(energy, rel=0.05)
         assert (now <= np.abs(asked.current_ua.astype(float)).max(axis=1)).all()
     assert np.array_equal(sent.width_us, asked.width_us)
-    assert not finger.adaptation.limited
+    assert not finger.impedance.limited
 
 
 def test_energy_that_would_need_more_than_was_asked_for_is_not_held():
@@ -125,7 +125,7 @@ def test_energy_that_would_need_more_than_was_asked_for_is_not_held():
         asked, sent, _, _ = finger.touch(0.1)
     assert np.array_equal(sent.current_ua, asked.current_ua)
     assert np.array_equal(sent.width_us, asked.width_us)
-    assert finger.adaptation.limited
+    assert finger.impedance.limited
 
 
 def test_longer_pulses_lengthen_the_period():
@@ -158,8 +158,8 @@ SAFE_BANKS = {profile.name: load_bank(load_profile(profile.name)) for profile in
 @settings(max_examples=40 if WHOLE else 5)  # each example has six sequences
 def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
     rng, count = np.random.default_rng(seed), len(profile.electrodes)
-    adaptation, gate = (
-        Adaptation(profile, hold, COMPLIANCE_V), SafetyGate(SafetyLimits.of(profile)),
+    impedance, gate = (
+        ImpedanceControl(profile, hold, COMPLIANCE_V), SafetyGate(SafetyLimits.of(profile)),
     )  # fmt: skip
     bank = SAFE_BANKS[profile.name]
     scan = ScanScheduler(profile, bank, (Afferent.RA,), profile.pulse.rate_hz)
@@ -171,7 +171,7 @@ def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
         rows[Afferent.RA] = rng.random(count) * (rng.random(count) < density)
         shown = TactileImage(rows, step * 10**9, 1.0)
         asked, sent = (
-            scan.schedule(shown, float(intensity), adaptation=each) for each in (None, adaptation)
+            scan.schedule(shown, float(intensity), impedance=each) for each in (None, impedance)
         )
         gate.check(sent)
         less, more = (np.abs(each.current_ua.astype(int)) for each in (sent, asked))
@@ -185,4 +185,4 @@ def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
             most_us = np.minimum(200, 500_000 // np.maximum(less.max(axis=1), 1))
             assert np.all((apart <= less.max(axis=1) / 2 + 1) | (sent.width_us >= most_us))
         volts = rng.choice([0.0, 1.0, 50.0, 270.0, 299.0, 300.0, np.nan], sent.slots)
-        adaptation.observe(sent, volts.astype(np.float32))
+        impedance.observe(sent, volts.astype(np.float32))
