@@ -237,8 +237,8 @@ class Hosted:
     def __init__(self, kind, start_emulator, start_firmware, start_cortex_m3, folder, monkeypatch):
         monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
-        # A firmware can follow the kind: in "etactilekit newest" it is a version. "link C" runs the
-        # C firmware on this machine, "link M3" on a Cortex-M3.
+        # A second word names the firmware: a version as in "etactilekit newest", the C firmware on
+        # this machine in "link C", or the C firmware on a Cortex-M3 in "link M3".
         kind, _, firmware = kind.partition(" ")
         if firmware == "C":
             _, port = start_firmware(f"--books={folder}", "--ramp-ms=0")
@@ -258,9 +258,9 @@ class Hosted:
         self.step = 0
 
     def send(self, times=1, level_ua=1000):
-        """Send a sequence. Its current is new, or zero for the first after opening or a restart.
+        """Send a sequence whose current differs from that of the sequence before.
 
-        A sequence that this computer sent too late is sent again.
+        After opening, after a restart, and after a sequence that was too late, the current is zero.
         """
         while True:
             self.step += 1

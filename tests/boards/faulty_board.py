@@ -29,7 +29,7 @@ def entering(enter):
 
 
 def after_zero(report):
-    """Wrap `_report`: each report after a stop counts one more slot."""
+    """Wrap `_report`: after a stop, each report adds one slot to the counter of slots."""
 
     def reported(board):
         board.books.slots += board._refusing is not None

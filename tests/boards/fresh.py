@@ -47,7 +47,7 @@ def starter():
 
 
 def fresh_state(folder):
-    """Return the counters that an emulator writes, with all that it delivered before this call."""
+    """Return the counters that an emulator writes. They include all slots before this call."""
 
     def written():
         return (folder / STATE_FILE).stat().st_mtime_ns
@@ -125,7 +125,7 @@ def in_child(work):
 
 
 def until_zero(board, seconds=PATIENCE_S):
-    """Return a function that opens a board, and returns 7 once it is at zero, else 98."""
+    """Return a function that opens a board and waits for zero. It returns 7, or 98 on timeout."""
 
     def work(say):
         with board:

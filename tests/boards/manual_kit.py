@@ -39,7 +39,7 @@ class ManualClock:
 
 
 class ManualPort:
-    """Simulated port of an emulated firmware. Bytes arrive 100 µs plus about ``wire_us`` later.
+    """Simulated port of an emulated firmware. Bytes arrive after about (100 + ``wire_us``) µs.
 
     The board's clock shows (host time + ``phase_ns``) * (1 + ``drift``).
     """

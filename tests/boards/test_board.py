@@ -30,8 +30,7 @@ LIMITS = SafetyLimits(
 
 
 class Unlined(Driver):
-    """Driver without a port, which records its actions. It calls ``before`` just before current
-    flows."""
+    """Driver without a port that records its actions, and runs ``before`` ahead of each current."""
 
     opened = 0
     can = Capabilities(4, "weighted", 5.0, 8, time_to_zero_ms=0.0, firmware="plain")

@@ -42,9 +42,10 @@ def decoded(written, firmware, extra_us=0):
     def pulse(
         number, electrode, current_ua, width_us, start_ns, *, among, rest_us, more=False, **_
     ):
-        # Without skin, the other electrodes share the return current. Skip self-tests (``more``).
+        # Without skin, the other electrodes share the return current equally.
         current = [-current_ua / (among - 1)] * among
         current[electrode] = current_ua
+        # With ``more``, the current is left from the self-test and is not part of the pulse.
         if current_ua and not more:
             found.append(SentPulse(tuple(current), width_us, rest_us - extra_us))
         return 0
@@ -96,7 +97,7 @@ class Contract(DriverContract):
     output_kind = "weighted"
     # The largest intensity that the ramp allows directly after zero.
     intensity, level_ua = 0.2, 480
-    # Lines of the driver at which a stop is tested, each in a process of its own.
+    # Number of lines of the driver at which a stop is tested.
     instants = 8 if WHOLE else 2
 
     @pytest.fixture
@@ -211,7 +212,7 @@ class TestETactileKit(OneAgainstAll):
 
     def test_the_time_to_zero_includes_the_bytes_of_zero(self, make_board):
         with make_board() as board:
-            # 10 bits per byte at 921,600 Bd, after the timeout of the watchdog.
+            # After its timeout of 100 ms, the watchdog sends zero: 10 bits per byte at 921,600 Bd.
             assert board.capabilities.kept_ms >= 100 + 10 * len(zero_anywhere(8)) / 921.6
 
 
@@ -265,7 +266,7 @@ class TestSimulated(TestMemory):
         board.send(self.sequence(1), times=20)
 
     def assert_silent(self):
-        # At most the 80 slots of `_start`, or all slots of a measurement, may be delivered.
+        # A test delivers at most the 80 slots of `_start`, or all slots of a measurement if more.
         in_pairs = self.output.kind == "weighted"
         probes = probe_sequences(self.driver._limits, self.output, in_pairs=in_pairs)
         books = self.driver._firmware.books
@@ -312,7 +313,7 @@ class TestCortexM3(TestFirmware):
     instants = 2
 
     def pulses(self):
-        """Return pulses without discharge times: these are longer than planned under QEMU."""
+        """Return the pulses without discharge times: QEMU makes discharges longer than planned."""
         return [replace(pulse, discharge_us=None) for pulse in super().pulses()]
 
 

@@ -81,7 +81,7 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, named, phase_us, d
 @FIRMWARES
 @pytest.mark.parametrize("width_us", [100, 200])
 def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_us):
-    """The scan of 48 electrodes takes 39 % of the period, or 64 % with pulses of 200 µs."""
+    """A scan of 48 outputs takes 38 % of the period, or 62 % if ``width_us`` is 200."""
     limits = SafetyLimits(48, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
     kit = ManualKit(monkeypatch, limits, firmware, phase_ns=3 * MS, drift=70e-6)
     rng, start = random.Random(1), kit.clock.time_ns
@@ -100,7 +100,7 @@ def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("named", [True, False])
 def test_what_a_busy_host_cannot_determine_is_a_range(monkeypatch, firmware, seed, named, runs):
-    """Waits end milliseconds late, and frames come at random times; each pattern is scanned."""
+    """Waits end milliseconds late, and sequences come at random times; each pattern is scanned."""
     runs = runs or PATTERNS
     kit = ManualKit(
         monkeypatch, LIMITS, firmware, seed=seed, late_us=3000, phase_ns=7 * MS * seed,
@@ -175,7 +175,7 @@ def test_a_board_that_never_echoes_again_is_reported(monkeypatch):
     kit = ManualKit(monkeypatch, LIMITS)
     kit.run([(0, pulses(1000, [1]), 1)])
     kit.port.write = len
-    # `zero` must fail as well: the board may still repeat its last pattern.
+    # `zero` must raise an error as well, because the board may still repeat its last pattern.
     for act in (lambda: kit.driver.write(proved(pulses(1010, [1]))), kit.driver.zero):
         with raises(LineLostError, names="board") as lost:
             act()

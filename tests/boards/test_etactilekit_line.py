@@ -37,7 +37,7 @@ from ..support.full import WHOLE, sample
 from ..support.scans import one_each
 
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
-# Left by an earlier program: pulses of 1 mA on all electrodes, sense pulses, half a command.
+# An earlier program left pulses of 1 mA on all electrodes, sense pulses, and half a command.
 PULSING = "FC08 FA6400 F732 F63200 FE" + "6400" * 8
 SENSE = "F919 F832"
 HALVES = ["", "FE", "FE 01", "FE 010101", "FB", "FA", "FA FF", "FD", "FC", "F9", "F6", "FB 64"]
@@ -46,7 +46,7 @@ OLD = {
     "v1.0": (1, "FC08 FB19 FA64 F732 F632 FE 0101010101010101"),
     "936c6c0": (2, "FC08 FB6400 FA6400 F732 F63200 FE 0101010101010101"),
 }
-"""Older firmware: how many bytes a height, width or rate takes; commands that start pulses."""
+"""By older firmware: number of bytes of a height, width or rate; commands that start pulses."""
 
 
 class OldKit:
@@ -137,7 +137,7 @@ def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, hal
     meeting.board.advance(meeting.clock.time_ns + 3_000_000_000)
     assert meeting.books.slots == slots
     assert meeting.books.state == "shorted"
-    # Allow the running scan, and one scan if the zero bytes complete a command.
+    # Allow three scans of 8 slots: the zero bytes may complete a command that causes pulses.
     assert slots - pulsed <= 24
     # 2.57 mA are 0x0101 counts, the height in the earlier program's incomplete command.
     assert meeting.books.max_current_ma <= 2.57
@@ -177,7 +177,7 @@ def test_no_probe_ever_makes_a_board_pulse(firmware, noise, half, losses):
     with pytest.MonkeyPatch.context() as patch:
         old = OldKit(DeliveryLog(8), OLD[firmware][0]) if firmware in OLD else None
         meeting = Meeting(patch, "71adee2" if old else firmware, board=old)
-        # All settings of pulses except the height.
+        # Send all settings of pulses except the height.
         quiet = "FC08 FA6400 F732 F632" + "FB0000" * (firmware == "936c6c0")
         meeting.leave(quiet + (half or bytes(min(each, 0xF3) for each in noise).hex()))
         books = meeting.books if old is None else old.books
@@ -294,7 +294,7 @@ def test_what_it_has_only_one_of_or_not_at_all_is_refused(wrong, attributes):
 
 @given(data=st.data())
 def test_a_lost_byte_never_brings_more_current_than_was_asked_for(data):
-    """The byte is missing in any one message; the messages before and after it are complete."""
+    """One of the messages lacks one byte, at any position. All other messages are complete."""
     pattern = pattern_of(anodic(2200, (1, 3)))
     messages = [
         Settings(100, 50, 50, True).commands(10) + PING,

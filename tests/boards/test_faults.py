@@ -45,7 +45,7 @@ def test_programs_that_ask_for_no_lock_are_kept_out_of_devices(monkeypatch, name
     monkeypatch.setattr("smarttouch.base.wire.port.os.ttyname", lambda _: name)
     master, slave = os.openpty()
     port = open_port(f"/proc/self/fd/{slave}")
-    # ioctl TIOCGEXCL: whether other programs are locked out.
+    # The ioctl TIOCGEXCL returns whether other programs are locked out.
     exclusive = fcntl.ioctl(port.fileno(), 0x80045440, bytes(4))
     assert exclusive == (b"\1\0\0\0" if "USB" in name else bytes(4))
     port.close()
@@ -151,7 +151,7 @@ def drive(board, make_sequence, count=4, **fields):
             board.drain()
             time.sleep(0.02)
         board.report()
-        # Closing cuts this repetition short: fewer pulses than sent are no fault.
+        # Closing cuts this repetition short. It is not a fault if fewer pulses flow than were sent.
         board.send(make_sequence(count, **fields), times=50)
 
 
@@ -218,7 +218,7 @@ def test_a_range_of_scans_is_a_range_of_pulses(make_sequence):
     report = books.report
     assert (report.sequences, report.slots, report.pulses, report.most_pulses) == (1, 16, 128, 160)
     assert report.max_current_ma == pytest.approx(0.7)
-    # The fifth pass is uncertain, so its slots add up without sign: 0.07 µC and 3 times 0.01 µC.
+    # The fifth pass is uncertain, so the absolute charges of its slots add up: 0.07 + 3 * 0.01 µC.
     exact = HostStatistics(8)
     exact.add(sequence, 4)
     assert exact.report.most_pulses == 128

@@ -170,7 +170,7 @@ def test_masked_electrodes_carry_nothing(masked, in_pairs):
 
 
 def measured(kohm):
-    """Measure a board with a current source for each electrode; the gate checks each scan."""
+    """Measure a board that has one current source per electrode; the gate checks each scan."""
     gate = SafetyGate(WIDE)
     can = Capabilities(24, "weighted", 5.0, 999, 0.0, "", measures=True, compliance_v=COMPLIANCE_V)
 

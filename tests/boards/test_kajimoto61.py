@@ -97,7 +97,7 @@ def test_what_it_cannot_do_is_refused_and_never_sent(port, sequence, attributes)
 def test_a_board_that_answers_a_pattern_is_another(port):
     port.incoming += b"\x10\x02" * 4
     with raises(BoardError, names="board"):
-        # The reply is there before the pattern: keep the driver from discarding it as old input.
+        # The reply arrives before the pattern is sent. Keep it: `open` would discard early input.
         board = kajimoto()
         board._line.discard_input = lambda: None
         board.open()

@@ -36,7 +36,7 @@ def pulses(electrodes, step, level_ua=1000):
 
 
 def board_of(kind, electrodes, rest="x", **options):
-    """Return a board, by default on a finger; its simulated clock decides only what is late."""
+    """Return a board, by default on a finger. A simulated clock decides which sequence is late."""
     driver = kind(rest, limits(electrodes))
     usual = {"clock": ManualClock(late_us=0), "claimed_time": True}
     return Board(driver, limits(electrodes), **(usual | options))

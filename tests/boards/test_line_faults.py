@@ -1,5 +1,5 @@
-"""Faults of a line: the driver recovers, or stops at zero with an error. A board that comes back
-must be the same; another device at its port gets only a query.
+"""Faults of a line: the driver recovers, or stops at zero with an error. If the connection is lost,
+the driver accepts only the same board again. Another device at the port gets at most a query.
 
 ``pytest tests/boards/test_line_faults.py -k unsafe --runs 600 --timeout 0 -s`` runs 600 seconds
 of random faults on each board, and prints figures.
@@ -148,7 +148,7 @@ def test_a_port_that_stays_away_is_reported(hosted, monkeypatch):
 @pytest.mark.parametrize("hosted", ["etactilekit"], indirect=True)
 @pytest.mark.parametrize("known", [False, True], ids=["asked", "known"])
 def test_a_board_that_is_back_gets_zero_first(hosted, known_by_usb, known):
-    """Zero needs no wait for boot. A query precedes zero if USB does not identify the board."""
+    """The driver sends zero first. If USB does not identify the board, a query precedes zero."""
     known_by_usb(hosted.line.path, known)
     heard = []
     with hosted.board:
@@ -291,7 +291,7 @@ EMULATED = pytest.mark.parametrize("hosted", ["link", "kajimoto61", "etactilekit
 
 
 class Stranger:
-    """Other device at a board's path; it records received bytes and answers by a function."""
+    """Another device at a board's path. It records received bytes, and replies with ``answer``."""
 
     def __init__(self, path, answer=lambda _heard: b""):
         self.heard, self._answer = b"", answer

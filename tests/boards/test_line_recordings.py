@@ -35,7 +35,7 @@ def session(kind, port, options="", pulses=(400,)):
     profile = st.load_profile(PROFILES[kind])
     limits = SafetyLimits.of(profile)
     with make_board(f"{kind}:{port}{options}", limits, profile.output) as board:
-        # Wait until the driver of an eTactileKit has loaded zeros, which it does without sequences.
+        # Wait: while no sequence is sent, the driver of an eTactileKit loads zeros into the board.
         board._stopped.wait(0.3)
         for step, level_ua in enumerate(pulses) if kind == "kajimoto61" else ():
             deliver(board, anodic({}, 2 * step), anodic({3: level_ua, 5: level_ua}, 2 * step + 1))
@@ -76,7 +76,7 @@ def test_a_recorded_session_is_a_test_of_the_driver(recorded, kind):
 def test_bytes_that_differ_are_named_with_their_position(recorded):
     path = recorded("kajimoto61")
     sent = b"".join(bytes.fromhex(line["hex"]) for line in events(path) if line["event"] == "sent")
-    # The current of electrode 3, rounded to 360 µA, is 9 steps of 39 µA.
+    # `anodic` rounds 400 µA to 360 µA. These are 9.2 steps of 39.06 µA, and the driver sends 9.
     position = sent.index(9)
     with raises(BoardError, names=(f"byte {position} ", "0b", "09")), replayed(path) as port:
         session("kajimoto61", port, pulses=(440,))
@@ -96,7 +96,7 @@ def test_the_program_serves_a_recording_until_the_host_is_gone(recorded, pulses,
     path = recorded("kajimoto61")
     command = [PROGRAM, "devices", "emulate", str(path)]
     with Forked(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as device:
-        # After a difference the emulator ends, and its port disappears.
+        # If bytes differ from the recording, the emulator ends and its port disappears.
         with contextlib.suppress(*[BoardError] * (status == 2)):
             session("kajimoto61", device.stdout.readline().strip(), pulses=pulses)
         assert device.wait() == status

@@ -165,8 +165,8 @@ SAYS = "says it is alive"
 
 
 class Reads:
-    """Line whose reads return ``pieces``, and then the last piece for ever. If a piece is a number,
-    the read takes this time, s, and returns no bytes."""
+    """Line whose reads return one piece each, and then the last piece for ever. If a piece is a
+    number, the read lasts that many seconds and returns no bytes."""
 
     name = "here"
     now_ns = write = None
@@ -188,7 +188,7 @@ class Reads:
 
 
 SILENCE_S = 2.5 * LISTENED_S
-"""Silence after which a board is gone. Two delayed reads count as less: 2 * LISTENED_S."""
+"""Silence after which a board is gone. Two delayed reads count as only 2 * LISTENED_S."""
 
 
 @pytest.mark.realtime
@@ -237,7 +237,7 @@ def made_scan(rng, table, step):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_a_small_board_delivers_is_what_a_large_one_does(make_limits, seed):
-    """Voltages, counters, currents and pulse widths are exactly equal."""
+    """Both boards have exactly the same voltages, counters, currents and pulse widths."""
     rng = np.random.default_rng(seed)
     table, found = random_table(rng, 12, 8), []
     scans = [made_scan(rng, table, step) for step in range(1, 16)]

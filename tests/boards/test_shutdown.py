@@ -168,7 +168,7 @@ def sleeping(before=lambda: None, within=lambda: None, opening=lambda board: boa
         before()
         opening(board)
         try:
-            # If another thread opened the first board, this second one installs the handlers.
+            # If another thread opened the first board, opening this board installs the handlers.
             with Display(1):
                 within()
                 say()

@@ -31,7 +31,7 @@ FAULTS = ("drop", "twice", "later", "behind", "again", "foreign", "flip", "cut")
 
 
 class KeptBooks(DeliveryLog):
-    """Delivery log that also keeps number, currents and time of each pulse."""
+    """Delivery log that also keeps the sequence number, currents and time of each pulse."""
 
     def enter(self, number, slot, site, delivered, width_us, residual_uc, time_us, **more):
         super().enter(number, slot, site, delivered, width_us, residual_uc, time_us, **more)
@@ -61,7 +61,7 @@ class Stream:
         self.waiting, self.seen, self.sent, self.session, self.newest = b"", set(), [0], 0, 0
 
     def open(self, session):
-        """Change to a session, if the true sender opened it later than the current session."""
+        """Change to ``session`` if the true sender opened it after the current session."""
         if session in self.sent[self.sent.index(self.session) + 1 :]:
             self.session, self.newest = session, 0
 
@@ -265,7 +265,7 @@ class SteppedSession(LinkSession):
 
 
 def write(board, sequence, times=1):
-    """Let a driver write a sequence that no gate has proved, without a ramp."""
+    """Let a driver write a sequence that no gate has proved and no ramp has limited."""
     now_ns, number = board.clock.now_ns(), board.driver._number + 1
     board.driver.write(
         unproved(sequence, times, number, now_ns, now_ns + LATE_NS, board._gate.session)

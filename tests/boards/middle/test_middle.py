@@ -102,7 +102,7 @@ def check(world, host, gone_ns, ending):
     order = [number for number, _, _ in books.kept]
     assert order == sorted(order), "an old sequence was delivered after a newer one"
     assert books.state == "shorted"
-    # From LATE_MS after the next ALIVE on, the board refuses withheld frames.
+    # The board accepts withheld frames until LATE_MS after its next ALIVE.
     late_ms = SILENCE_MS + 1 + (LATE_MS + ALIVE_MS if ending == "withheld" else 0)
     last_us = max((time_us for *_, time_us in books.kept), default=0)
     assert last_us <= gone_ns / 1000 + 1000 * late_ms
@@ -117,7 +117,7 @@ def test_a_man_in_the_middle(make_world, runs):
     for seed in range(runs):
         if seed % RUNS_PER_BOARD == 0:
             world = make_world(seed)
-        # Frames of earlier sessions, of this board and of another one.
+        # The attacker can replay frames of earlier sessions, of this board and of earlier boards.
         world.to_board.foreign, world.to_host.foreign = (each[-400:] for each in foreign)
         ending = world.random.choice(["stop", "silent", "replayed", "withheld"])
         host, gone_ns = one_run(world, ending)
