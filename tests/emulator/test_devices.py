@@ -1,4 +1,4 @@
-"""Tests of emulated devices: their ports, options, delivery logs and ends, and of `Server`."""
+"""Tests of `Server` and of emulated devices: ports, options, delivery logs, and how they end."""
 
 import os
 import re
@@ -179,8 +179,7 @@ class Counter(SensorFirmware):
     (2, (0, [1], {"room": 99}, 20), b"00001;"),
 ])  # fmt: skip
 def test_what_a_sensor_sends(room, acts, taken):
-    """Each act advances the time, ms, or sets the line's capacity. At a time in a list there is
-    no host."""
+    """An act is a time (ms), a list with a time without a host, or a new capacity of the line."""
     line = FakeLine(room)
     server = Server(Counter(100.0), line)
     for act in acts:

@@ -89,7 +89,7 @@ def test_at_boot_there_is_no_pulse_width_but_a_pulse_and_the_rate_is_100_hz(rig)
 
 
 @pytest.mark.parametrize(("commands", "sites", "apart_us", "own_ua"), [
-    # A slot is pulse width, discharge and switching time, even if its electrode has no pulse.
+    # A slot lasts 160 µs, even without a pulse: 100 pulse width, 50 discharge, 10 switching.
     ("FA6400 F732 FE 0A00 0000 0000 0A00", [0, 3], [3 * 160], [-100, -100]),
     ("FA6400 FD00" + ONE, [1], [], [2198]),
     ("FA6400 FD01" + ONE, [1], [], [-2198]),
@@ -159,7 +159,7 @@ def test_half_a_command_is_forgotten_after_2_s_with_all_that_waits(rig):
 
 def test_a_lost_byte_means_another_current(rig):
     rig.say(0, EXAMPLE)
-    # After a lost byte, the next command completes the pattern, in which 0xDC is a high byte.
+    # A byte of the pattern is lost: 0xDC becomes a high byte. The next FE completes the pattern.
     rig.say(1, "FE 00 DC00 0000 0000" + "FE")
     rig.advance(100)
     assert rig.books.unsafe > 0
@@ -220,7 +220,7 @@ def board(books):
 
 
 def play(board, *steps):
-    """Execute steps on a board: feed bytes, or advance the time to a number of ms."""
+    """Execute steps on a board: bytes are fed, and a number is the new time in ms."""
     now_ns = 0
     for step in steps:
         if isinstance(step, bytes):
@@ -288,7 +288,7 @@ def test_what_the_self_test_left_flows_for_a_moment_in_the_first_pulse(tmp_path,
     play(board, 0, first, 10, frame(e1=1, e2=1), 20, frame(e1=1), 30)
     slots = delivered(books)
     assert slots["site"].tolist() == [1, 1, 2, 1]
-    # For 3 µs the first pulse has 898 counts, left by the self-test, even after packets of zeros.
+    # The first pulse begins with 3 µs of 2192 µA, which the self-test left. Zeros do not clear it.
     own = -slots["current_ua"][range(4), slots["site"]]
     assert own.tolist() == [2192, 39, 39, 39]
     charge = np.abs(slots["charge_uc"]).max(axis=1)

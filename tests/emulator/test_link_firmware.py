@@ -104,7 +104,7 @@ def test_an_open_electrode_needs_all_the_voltage_there_is():
 
 @pytest.mark.parametrize(("open_us", "flowed"), [(299, []), (300, [400]), (700, [800])])
 def test_what_flowed_of_a_recharge_phase_is_counted(rig, open_us, flowed):
-    """The phase begins at 300 µs. The board detects the open switch 400 µs after its opening."""
+    """The recharge phase begins at 300 µs. The board reads the switch 400 µs after ``open_us``."""
     back = np.array([-10, -10, 10, 10], np.int16)
     rig.drive(recharge_ua=back, recharge_us=1000)
     rig.wait(open_us)

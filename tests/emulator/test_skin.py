@@ -140,8 +140,9 @@ def test_currents_sum_to_zero_and_never_pass_the_compliance(pulses, seed, compli
     most_v = compliance_v * (1 + 1e-9) + 1e-9
     for state, current, width_us, short_us in pulses:
         switched = one_source.switched_pulse(state, abs(current[0]), width_us)
-        # The limit holds between the poles (one source) or from electrode to tissue (own sources).
+        # A shared source has at most the compliance voltage between its poles.
         assert switched.source_v <= most_v
+        # An electrode with its own source has at most the compliance voltage against the tissue.
         own = own_sources.pulse(current, width_us)
         assert np.abs(own.volts).max() <= most_v
         for skin, delivered in ((one_source, switched), (own_sources, own)):
