@@ -48,7 +48,7 @@ def in_grams(profile, changed):
 
 
 def grams(least):
-    """Return a function that makes a cell's lines, alternately with ``least`` and 1 g more."""
+    """Return a function that makes lines of a load cell: ``least`` and ``least`` + 1 g in turn."""
     return lambda number: b"Reading: %d g\r\n" % (least + number % 2)
 
 

@@ -23,7 +23,7 @@ SECOND = 1_000_000_000
 
 
 def write_clip(path, images, rate_hz=200.0, codec="MJPG"):
-    """Write a video of gray images; return its path. Without images it has 48 x 64 pixels."""
+    """Write a video of gray images; return its path. An empty video has 48 x 64 pixels."""
     rows, columns = images[0].shape if images else (48, 64)
     fourcc = cv2.VideoWriter.fourcc(*codec)
     writer = cv2.VideoWriter(str(path), fourcc, rate_hz, (columns, rows))
@@ -96,7 +96,7 @@ def test_a_video_frame_by_frame(profile, write_video):
 
 
 def test_a_video_at_its_pace(profile, write_video):
-    """If a 200 Hz video is read at 80 Hz, images are dropped; the computer's clock is not used."""
+    """Reading a 200 Hz video at 80 Hz drops images. The times given to `read` decide which ones."""
     with open_source(f"video:{write_video()}", profile) as sensor:
         assert sensor.duration_s == pytest.approx(0.2)
         frames = [sensor.read(12_500_000 * count) for count in range(16)]
