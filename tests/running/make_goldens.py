@@ -35,7 +35,7 @@ FOLDER = Path(__file__).parent / "goldens"
 IMAGES = 8
 """Number of images in a recording. The camera is slower than the loop, to keep files small."""
 BEGIN, END = 0.68, 0.94
-"""Shares of the path's duration at which recording begins and ends, to skip most of the margin."""
+"""Recording begins and ends at these fractions of the path's duration, to skip most margins."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class SlowCamera(Source):
         )  # fmt: skip
 
     def _random_stimulus(self, time_ns):
-        """Return activation of all classes at few electrodes, and a period of 20 to 40 ms."""
+        """Return activation of all classes at a few electrodes, and a period of 20 to 40 ms."""
         random = np.random.default_rng(time_ns)
         activation = random.random((len(Afferent), 64), np.float32)
         activation[random.random(activation.shape) > 0.04] = 0
@@ -127,7 +127,7 @@ class Script(Controls):
 
 
 class GoldenDriver(MemoryDriver):
-    """Board in memory that can be lost once. If ``hold`` is set, it measures rising impedance."""
+    """In-memory board whose connection can fail. With ``hold``, it measures rising impedance."""
 
     def __init__(self, golden, *given):
         super().__init__(*given)

@@ -1,7 +1,7 @@
-"""Program that records a run until it is killed: ``recorded_child.py PATH [BYTES]``.
+"""Program that records a run until the program is killed: ``recorded_child.py PATH [BYTES]``.
 
-A limit of BYTES for the file's size simulates a full disk. The program prints ``TIME_NS 0`` after
-each step, and ``0 STEPS`` after each sync, with the number of steps in the file.
+The file cannot grow beyond BYTES, which simulates a full disk. The program prints ``TIME_NS 0``
+after each step. After each sync it prints ``0 STEPS``, where STEPS counts the steps in the file.
 """
 
 import os

@@ -65,7 +65,7 @@ def test_goldens_hold_what_they_are_for(goldens):
     assert len(restarts) == 2
     proved = [each.step.sequence.proof for each in steps["shared"] if each.step.sequence.proof]
     assert max(int(each.points.max(initial=0)) for each in proved) >= 4
-    # Points of RA share slots. Each point of SAI has a slot of its own, marked by ``points`` 0.
+    # Points of RA share slots. Each point of SAI has a slot of its own, whose ``points`` is 0.
     assert any((each.points > 1).any() and not each.points.all() for each in proved)
 
 

@@ -149,17 +149,17 @@ def test_a_late_loop_moves_its_schedule_and_never_hurries(play):
 
 @pytest.mark.parametrize(("own_work", "first_ns"), [(False, 27 * MS), (True, 20 * MS)])
 def test_a_board_whose_clock_is_behind_is_followed(play, board, monkeypatch, own_work, first_ns):
-    """After one wait for the board, deadlines are 7 ms later. Processor time is not such a wait."""
+    """A wait of 7 ms for the board delays all later deadlines. Processor time delays none."""
     clock, send = FakeClock(), board.driver.write
 
     def held_up(proved):
-        # The board begins scans 7 ms after the first deadlines, so earlier writes have to wait.
+        # The board begins each scan 7 ms after the deadline planned at first; earlier writes wait.
         phase = (clock.time_ns - 5_000 - 7 * MS) % PERIOD_NS
         clock.time_ns += 5 * MS if own_work else (PERIOD_NS - phase) * (phase > 10 * MS)
         return send(proved)
 
     monkeypatch.setattr(board.driver, "write", held_up)
-    # Count all time of the fake clock as processor time, or none of it.
+    # With ``own_work``, all time of the fake clock is processor time, otherwise none.
     monkeypatch.setattr("time.thread_time_ns", lambda: clock.time_ns * own_work)
     run = play(Bars(20), clock=clock)
     assert np.diff(clock.deadlines).tolist() == [first_ns] + [PERIOD_NS] * 19
@@ -186,7 +186,7 @@ def test_an_exception_in_any_stage_ends_at_zero(monkeypatch, play, pipeline, boa
 
 
 def test_a_board_that_was_lost_and_is_back_begins_at_zero(monkeypatch, play, board):
-    """Listeners receive the step that was lost. The interruption is not a period error."""
+    """Listeners also receive the step whose sequence was lost. The gap is not a period error."""
     send, clock, seen, words = board.driver.write, FakeClock(), [], "the board at x has vanished"
 
     def lose(proved):
@@ -230,7 +230,7 @@ def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(play, b
     run = play(Bars(100), lift)
     found = run.intensities
     assert found[39:55] == [1] + [0] * 15
-    # After 0.3 s the loop sends weak pulses. The finger is still lifted, so pulses stop again.
+    # After 0.3 s at zero the loop sends weak pulses. The finger is still lifted, so they stop.
     assert 0 < max(found[55:60]) <= 0.05
     assert run.statistics.lifts == 2
     assert max(np.diff(found)) <= 0.0401
@@ -254,9 +254,10 @@ def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
     time_s = np.array([each.time_ns / 1e9 for each in sent])
     driven = np.flatnonzero(found)
     away = int(np.argmax(np.diff(time_s[driven])))
-    # The finger is lifted for 0.6 s. The board reports the lift with more delay than the return.
+    # The finger is lifted for 0.6 s. Pulses pause for less, because a lift is detected late.
     assert np.diff(time_s[driven])[away] > 0.3
-    # So that late sequences catch up, intensity may exceed the ramp by the rise in `LATE_NS`.
+    # A late sequence may catch up with the ramp. So intensity may rise by as much as the ramp does
+    # in the time between two sequences plus `LATE_NS`.
     rise_s = np.diff(time_s) + LATE_NS / 1e9
     assert np.all(np.diff(found) <= rise_s / profile.limits.ramp_s + 0.01)
     assert max(found[: driven[away]]) == 1
@@ -345,10 +346,9 @@ def test_the_age_of_an_image_counts(play):
 def test_what_was_computed_before_a_pause_is_not_sent(
     monkeypatch, profile, play, pipeline, stalls, before
 ):
-    """If the computer stalls between computing and sending a sequence, the loop drops the sequence.
-    Repeated drops are reported once."""
+    """The loop drops a sequence if the computer stalls before sending. Many drops are one event."""
     clock, process = FakeClock(), pipeline.process
-    # With ``claimed_time``, the default of this function, no sequence would ever be late.
+    # With ``claimed_time``, which this helper sets by default, no sequence would be late.
     board = board_without_finger(profile, Watched, clock=clock, claimed_time=False)
 
     def stand_still(*given):
@@ -429,8 +429,8 @@ class Scanning:
 
 
 def followed(delays_ns, first_ns=0, **kind):
-    """Send sequences to a `Scanning` board that is free from ``first_ns`` on. Return the wait of
-    each sequence there, the board, and statistics. A delay is from a deadline to the last byte."""
+    """Send each sequence at its deadline plus its delay. The `Scanning` board can begin the first
+    one at ``first_ns``. Return the times from sending to start, the board, and statistics."""
     board, statistics, zero_ns, waits_ns = Scanning(**kind), RunStatistics(), 0, []
     board.free_ns, phase = first_ns, PhaseLock(board, statistics)
     for number, delay_ns in enumerate(delays_ns):
@@ -456,7 +456,7 @@ def test_a_sequence_waits_no_longer_than_jitter_requires(jitter_ns):
     assert settled_ns.max() <= GUARD_NS + board.line_ns + jitter_ns
     assert np.median(settled_ns) <= GUARD_NS + board.line_ns + 0.6 * jitter_ns
     assert board.paused_ns < 0.002 * 200 * board.period_ns
-    # Only the last sequence has not begun. Each sequence is sent at least 4 ms after its image.
+    # All sequences but the last have begun. Each is sent at least 4 ms after its image was taken.
     assert statistics.waited.count == statistics.first_pulse.count == 199
     assert statistics.first_pulse.largest_us >= statistics.waited.largest_us + 4000
 
@@ -475,7 +475,7 @@ def test_a_hiccup_of_loop_or_board_is_made_up_for_within_ten_periods(
 @pytest.mark.parametrize("line_ns", [3 * MS, 12 * MS])
 def test_what_a_slow_line_takes_is_no_wait(line_ns):
     _, board, _ = followed(jitter(400, MS // 2), line_ns=line_ns)
-    # If transfer time counted as a wait, deadlines would move until the board has to pause.
+    # If transfer time counted as a wait, deadlines would be delayed until the board must pause.
     assert board.paused_ns < 0.01 * 400 * board.period_ns
 
 

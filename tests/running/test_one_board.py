@@ -64,7 +64,7 @@ def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path, monkeypa
             break
     assert (figures, kept.sent, kept.force_n) == (its_figures, its.sent, its.force_n)
     assert board.capabilities == other.capabilities
-    # Voltages come from ``emulator:`` with a delay: the last ones arrive after the last step.
+    # The board ``emulator:`` sends voltages late, so the last ones arrive after the last step.
     assert set(kept.volts) >= set(its.volts)
     assert [kept.volts[time_ns] for time_ns in its.volts] == list(its.volts.values())
     assert len(its.volts) > 10

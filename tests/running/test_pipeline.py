@@ -145,7 +145,7 @@ def test_each_class_pulses_with_its_own_kernel_where_it_is_asked_for(profile, ba
 
 
 @pytest.mark.parametrize(("asked", "period_us", "slots"), [
-    # All pulses have the same sign, but at this low level net current does not limit the rate.
+    # All pulses have the same sign. The level is too low for net current to limit the rate.
     ({}, 7_000, 0), ({RA: (27,)}, 66_667, 1), ({RA: (27,)}, 22_222, 1), ({RA: (27,)}, 5_000, 1),
 ])  # fmt: skip
 def test_any_period_down_to_the_limit_is_kept(settled, asked, period_us, slots):
@@ -204,7 +204,7 @@ def test_a_sensation_is_placed_at_the_receptor(profile, settled, changed):
     shifted = changed(profile, {"perception.pc_shift_mm": (0.0, -2.0)})
     pipeline = settled(Mode.COLOR, profile=shifted, bank=load_bank(shifted))
     sequence = pipeline.process(asking({PC: (27, 60), RA: (27,)}, time_ns=NOW)).sequence
-    # PC at 27 is stimulated 2 mm lower, at 35. PC at 60 has no electrode below it.
+    # PC at electrode 27 is stimulated 2 mm lower, at 35. Below electrode 60 there is no electrode.
     assert sequence.site.tolist() == [27, 35]
 
 
@@ -233,8 +233,8 @@ class Brighter(StimulusSource):
 @pytest.mark.parametrize("url", ["memory:", "emulator:"])
 @pytest.mark.parametrize("period_us", sample([20_000, 120_000]))
 def test_strong_pulses_after_weak_ones_rise_by_the_ramp(url, period_us, profile, changed):
-    """The ramp counts weak pulses, .17 of full current, as .68. Strong pulses rise from there.
-    The board refuses no sequence."""
+    """Weak pulses with .17 of full current raise the ramp to 4 times .17. Strong pulses rise from
+    this level. The board refuses no sequence."""
     sensitive = changed(profile, {"perception.threshold_ma": 0.3, "perception.comfort_ratio": 8.0})
 
     def attempt():
@@ -327,7 +327,7 @@ def rules_of(profile):
 def test_after_a_lost_sequence_recharge_phases_are_what_the_gate_lets_through(
     profile, pipeline_of, make_frame, patch
 ):
-    """The gate counts every sequence that it has proved, even if the sequence was lost."""
+    """The gate counts the charge of each proved sequence, even a lost one. So must the ledger."""
     pipeline, gate, recharges = pipeline_of(), SafetyGate(SafetyLimits.of(profile)), 0
     pipeline.regulator = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
     for index in range(40):
@@ -341,7 +341,7 @@ def test_after_a_lost_sequence_recharge_phases_are_what_the_gate_lets_through(
 
 @pytest.mark.parametrize(
     ("mode", "left_uc"),
-    # Some PC scans need more than the largest recharge phase; later scans return the rest.
+    # Some PC scans leave more charge than one recharge phase can balance. Later scans balance it.
     [(Mode.RA, 0.02), (Mode.SAI, 0.02), (Mode.NATURAL, 0.02), (Mode.PC, 2.0)],
 )
 def test_by_the_emulators_books_charge_is_back_and_the_same_is_felt(

@@ -143,7 +143,7 @@ def test_its_thread_ends_with_it(recorder):
 
 
 def test_what_the_disk_had_is_readable_after_a_power_cut(tmp_path, about, steps, monkeypatch):
-    """A file that is cut to its size at a sync contains all steps before this sync."""
+    """A file cut to the size that it had at a sync contains all steps before this sync."""
     sizes, fsync, path = [], os.fsync, tmp_path / "run.mcap"
 
     def note_size(number):

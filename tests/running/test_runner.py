@@ -373,7 +373,7 @@ def test_a_computer_that_stalls_makes_nothing_late_on_the_board():
     sequences, statistics, _ = timed(True, seconds=1.5, listeners=[stall])
     assert statistics.late >= 1
     assert statistics.restarts == statistics.figures["dropped_late"] == 0
-    # Intensity rises without a restart at zero.
+    # The ramp does not restart at zero, so intensity never falls.
     levels = [each.intensity for each in sequences]
     assert levels == sorted(levels)
     assert levels[10] > levels[5] > 0

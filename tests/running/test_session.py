@@ -1,4 +1,4 @@
-"""Tests of sessions: a program's patterns have the requested level, and the end is at zero."""
+"""Tests of sessions: patterns have the requested level, and the board is at zero at the end."""
 
 import asyncio
 import contextlib
@@ -79,7 +79,7 @@ def test_a_level_that_is_not_open_is_opened_first_with_an_event():
     assert shown.ramped_s > 0.2
     assert (shown.sequences, shown.intensity) == (5, 0.6)
     weak = [each for each in results if each.input.time_ns < shown.time_ns and each.sequence.slots]
-    # While intensity rises, only the electrodes of the pattern carry current, near threshold.
+    # While intensity rises, only the pattern's sites are stimulated, with currents near threshold.
     assert 0 < max(abs(each.sequence.current_ua).max() for each in weak) < 0.6 * 1.3 * 1200
     assert all((each.tactile.activation[:, RING == 0] == 0).all() for each in weak)
     assert [str(each) for each in events if "waited" in str(each)]

@@ -40,7 +40,7 @@ def peaks_ua(sequences):
 
 
 def test_a_computer_that_is_slow_skips_no_electrode():
-    """Each step is 90 ms late. If real time counted, 0.15 s would end before the first pulse."""
+    """Each step is 90 ms late. In real time, an electrode's 0.15 s would end without a pulse."""
     sequences, reached = walked(TwitchingClock([]), seconds=0.15)
     assert len(reached) == 32
     pulses = Counter(int(site) for each in sequences if each.current_ua.any() for site in each.site)

@@ -30,7 +30,7 @@ GOLDEN = Path(__file__).parents[1] / "running" / "goldens" / "ra.mcap"
 
 
 class Pattern(StimulusSource):
-    """Source of pulses on one electrode; ``measured`` says whether its force is measured."""
+    """Source of pulses on one electrode. ``measured`` says whether the source measures force."""
 
     knows_force = True
 
@@ -104,7 +104,7 @@ def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, 
         "profile": lambda newtons: flows(source(), in_profile=f"fixed:{newtons}"),
         "board": lambda newtons: flows(source(), on_board_n=newtons),
     }
-    # To save time, test only one way with each source, and all ways with the source "stimuli".
+    # To save time, test all ways only with source "stimuli", and each other source with one way.
     for way in ways if WHOLE or name == "stimuli" else ("run",):
         assert ways[way](0.9)
     for way in ways if WHOLE or name == "stimuli" else ("board",):
