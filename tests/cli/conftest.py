@@ -47,12 +47,12 @@ class Done(SimpleNamespace):
     """Result of running the program in this process: exit code, output and error."""
 
     def fine(self):
-        """Check that the exit code is 0; return this result."""
+        """Check that the exit code is 0; return this `Done`."""
         assert self.returncode == 0, self.stderr
         return self
 
     def flawless(self):
-        """Check that the exit code is 0 and nothing was written to stderr; return this result."""
+        """Check that the exit code is 0 and that stderr is empty; return this `Done`."""
         assert self.fine().stderr == ""
         return self
 
@@ -88,7 +88,7 @@ def own_runs(tmp_path, monkeypatch):
 
 @pytest.fixture
 def program(tmp_path):
-    """Return a function that runs the program in an empty folder, by `Forked` unless ``real``."""
+    """Return a function that runs the program in an empty folder, as a new process if ``real``."""
 
     def run(*arguments, given="", real=False, timeout=100):
         with (subprocess.Popen if real else Forked)(
@@ -148,7 +148,7 @@ def figures_of(program_here):
 
 @pytest.fixture
 def start_program(tmp_path):
-    """Return a function that starts the program, by `Forked` unless ``real``."""
+    """Return a function that starts the program: by `Forked`, or as a new process if ``real``."""
     streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
     with starter() as start:
         yield lambda *arguments, real=False: start(

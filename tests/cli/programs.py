@@ -1,4 +1,4 @@
-"""Programs for tests that stop them, written as users of the package write programs.
+"""Programs like those that users of the package write, for tests that stop them.
 
 ``programs.py KIND URL`` drives a board for a minute. After a stop it tries to drive boards again.
 It prints how each attempt ended.
@@ -24,7 +24,7 @@ FORCE = None if URL == "emulator:" else FixedForce("0.5")
 
 
 def attempt(name, work):
-    """Call a function, and print the error that ended it, or done."""
+    """Call a function. Print the type of its error, or "done" if it raises none."""
     try:
         work()
     except SmartTouchError as error:

@@ -101,7 +101,7 @@ def test_a_walk_through_the_electrodes(program_here, kit):
     state = state_of(books)
     assert (state["state"], state["unsafe"]) == ("shorted", 0)
     assert state["max_current_ma"] <= 0.33
-    # On a busy computer, a restart of the board may use up the time of an electrode.
+    # On a busy computer, restarts of the board may leave an electrode no time for a pulse.
     silent = re.findall(r"\d+", done.stdout.partition("no pulse:")[2].partition(".")[0])
     walked = [number for number in range(32) if str(number) not in silent]
     assert list(dict.fromkeys(read_slots(books)["site"].tolist())) == walked

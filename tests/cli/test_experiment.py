@@ -141,7 +141,7 @@ def test_what_cannot_be_asked_for(program_here, arguments, check):
 
 
 def session(path, thresholds, seed=0):
-    """Write simulated trials of each standard. Without a threshold, every answer is interval 1."""
+    """Write simulated trials of each standard. With threshold None, all answers are interval 1."""
     with path.open("w", newline="", encoding="utf-8-sig") as file:
         writer = csv.writer(file)
         writer.writerow(["standard", "comparison", "comparison_interval", "unit", "success"])

@@ -80,7 +80,7 @@ def test_the_sample_page(program, tmp_path):
 
 @pytest.mark.parametrize("name", sample(list_profiles(), 4))
 def test_every_profile_runs(figures_of, tmp_path, name):
-    # Under a large array the simulation of branched axons takes seconds.
+    # With a large array, the simulation of the branched axons below it takes seconds.
     anatomy = "branched" if len(load_profile(name).electrodes) <= 32 else "paper"
     # The first words complete the ramp, which rises only while pulses flow.
     live = "live --set paced=no 'text:the the the the?speed_mm_s=30'"
@@ -90,7 +90,7 @@ def test_every_profile_runs(figures_of, tmp_path, name):
         assert (tmp_path / "felt.png").stat().st_size > 1000
         return
     page, delivered, felt = panels(tmp_path / "felt.png", 3)
-    # Over all profiles, the smallest measured correlations are .58 and .53.
+    # Over all profiles, the smallest correlations are .58 for `delivered` and .53 for `felt`.
     assert ink_agreement(page, delivered) > 0.5
     assert ink_agreement(page, felt) > 0.4
 
@@ -177,5 +177,5 @@ def test_a_board_on_a_line_makes_them(live, start_emulator):
     state = fresh_state(books)
     assert state["recharges"] == len(read_slots(books, recharges=True)) > 0
     assert (state["unsafe"], state["violations"]) == (0, 0)
-    # Each scan recharges what earlier scans left. The last scan leaves little charge.
+    # Each scan balances the net charge of earlier scans, so little is left after the last scan.
     assert np.abs(state["passed_uc"]).max() < 0.02

@@ -148,7 +148,7 @@ def forge_a_strong_one(path, comfort_ma):
 
 @pytest.mark.parametrize(
     ("comfort_ma", "events", "most_ma"),
-    # The recorded level is above or below the user's limit, 2.4 mA. The last board measures 0 N.
+    # Cases: a comfort level above the user's limit of 2.4 mA; one below; a board that measures 0 N.
     [(4.998, (), 2.4), (1.2, (), 1.2), (4.998, ("event=0 force 0",), 0.0)],
 )
 def test_a_recording_brings_to_a_finger_neither_limits_nor_force(

@@ -1,4 +1,4 @@
-"""Users' programs are stopped like commands, and drive no board afterwards."""
+"""Tests that a stop ends users' programs, and that they drive no board afterwards."""
 
 import random
 import signal
@@ -39,7 +39,7 @@ def start(start_emulator, tmp_path):
 
 
 def told(process):
-    """Wait for the end of a program; return the results of its attempts, and its output."""
+    """Wait until a program ends. Return its output, and how its attempts to drive a board ended."""
     out, errors = process.communicate(timeout=PATIENCE_S)
     assert errors == ""
     return dict(line.rsplit(" ", 1) for line in out.splitlines() if "ended by" not in line), out
@@ -65,7 +65,7 @@ def test_smarttouch_stop_ends_what_a_program_drives(start, start_program, tmp_pa
     stop = start_program("stop")
     assert f"process {process.pid} has confirmed zero" in stop.communicate(timeout=PATIENCE_S)[0]
     assert stop.returncode == 0
-    # The board writes its log a few times a second. Without a stop, its reason would be silence.
+    # Wait for the log, which is written a few times a second. Without a stop it says "silence".
     until(lambda: read_state(books)["reason"] == "stop")
     after = read_state(books)
     assert after["state"] == "shorted"
@@ -87,8 +87,8 @@ def test_a_signal_ends_a_program_at_zero_with_its_recording(start, tmp_path, kin
     until(lambda: read_state(books)["slots"] > 50)
     process.send_signal(number)
     process.communicate(timeout=PATIENCE_S)
-    # A run in another thread handles no signal: the system ends the process. The board goes to zero
-    # at its host timeout.
+    # A run outside the main thread cannot handle signals, so the signal kills the process. The
+    # board then goes to zero after its host timeout.
     assert process.returncode == (-number if kind == "thread" else 128 + number)
     if kind == "thread":
         return
@@ -110,7 +110,7 @@ def test_a_program_keeps_a_handler_of_its_own(start, tmp_path):
 def test_a_stop_at_any_instant_reaches_every_program(start, start_program, runs):
     draw = random.Random(33)
     for _ in range(runs or (3 if WHOLE else 1)):
-        # The current limit of a user allows two boards at a time.
+        # All boards of a user together may drive 20 mA at most, which allows two of these boards.
         programs = [start(kind) for kind in draw.sample(["run", "board", "left open"], 2)]
         # When the stop comes, each program may or may not have registered its run.
         time.sleep(draw.uniform(0.05, 2.0))

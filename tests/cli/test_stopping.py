@@ -1,4 +1,4 @@
-"""Tests that stop a program before or while it opens a board, or at a hung terminal."""
+"""Tests of a stop before or while a program opens a board, or when its terminal hangs."""
 
 import contextlib
 import os
