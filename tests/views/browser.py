@@ -37,7 +37,7 @@ def opened(browser, address, width=1440, height=900, **options):
     page.on("pageerror", lambda error: wrong.append(str(error)))
 
     def failed(request):
-        # The page also sends a stop by its socket, which can end the server before this request.
+        # The page also stops the run by its socket. So the server can end before answering /stop.
         if not request.url.endswith("/stop"):
             wrong.append(request.url)
 

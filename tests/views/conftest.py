@@ -55,7 +55,7 @@ class Run:
         self.board = self.display.board
         self.runner = Runner(
             source, self.display, st.RunConfig(intensity=1.0, rate_hz=rate_hz), stop=self.stop,
-            # `keep` comes first: a result that a page shows is already in ``results``.
+            # `keep` precedes the window, so each result on a page is already in ``results``.
             listeners=[self.keep, self.window],
         )  # fmt: skip
         self.thread = threading.Thread(target=self.runner.run)

@@ -65,7 +65,7 @@ def test_a_pulse_is_drawn_where_the_electrode_was(drawing, angle, side):
     (2000, 12.0, 1),  # cathodic: RA does not respond
     (-1200, 12.0, 1),  # below threshold
     (-2000, -50.0, 1),  # off the page
-    (-2000, 12.0, 2),  # number of another sequence
+    (-2000, 12.0, 2),  # the pulse belongs to another sequence
 ])  # fmt: skip
 def test_what_is_not_felt_there_is_not_drawn(drawing, current_ua, x_mm, number):
     drawing.watch(at(1, x_mm, 9.0))

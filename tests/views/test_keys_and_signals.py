@@ -1,4 +1,4 @@
-"""Tests of keys that fail, and of signals to a command that blocks."""
+"""Tests of errors while a key is handled, and of signals to a command that blocks."""
 
 import os
 import signal
@@ -25,7 +25,7 @@ def terminal(monkeypatch):
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_key_that_fails_counts_as_a_lost_terminal(terminal):
-    """No key after the failing one is read, not even q."""
+    """After the key whose handler fails, no other key is read, not even q."""
     heard, lost = [], threading.Event()
 
     def on_key(key):

@@ -169,7 +169,7 @@ def test_what_would_reveal_the_answer_is_not_sent(running):
         while "no answer" not in told:
             update = receive(socket, "update")
             assert {*update} == {"type", "state"}
-            # Counts of sequences and charge would reveal the answer as well.
+            # The dose, the number of sequences and the work share would also reveal the answer.
             assert not {"dose_s", "dose_mc", "sequences", "work_share"} & {*update["state"]}
             told += [each["text"] for each in update["state"]["events"]]
             socket.send("seen")

@@ -38,7 +38,7 @@ def on_page(browser, running):
 
 def test_pixels_are_the_delivered_sequence(on_page, profile):
     def driven():
-        """Return drawing and sequence, or None if the sequence is empty after a computer delay."""
+        """Return the drawing and its sequence, or None if a late computer left it empty."""
         found = drawn(page, profile)
         sequence = run.results[found["number"]].sequence
         return (found, sequence) if sequence.slots else None
@@ -74,7 +74,7 @@ def test_a_second_page_takes_over_when_the_first_is_closed_and_can_always_stop(o
         page.wait_for_selector("#steer[aria-pressed=true]")
         # Space pauses the run on the page that steers, and stops the run on any other page.
         with opened(browser, run.address) as other:
-            # A page that does not steer disables `less`. (At full level all pages disable `more`.)
+            # `less` shows that the page does not steer. (At full level, `more` is always disabled.)
             other.wait_for_selector("#less:disabled")
             other.keyboard.press("Space")
             assert run.ended() == "the window"
