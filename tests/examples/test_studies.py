@@ -1,4 +1,4 @@
-"""Tests of examples/studies: effects of the paper, pages and vibrations on simulated fingers."""
+"""Tests of examples/studies: published effects, pages and vibrations on simulated fingers."""
 
 import json
 from dataclasses import replace
@@ -62,7 +62,7 @@ def test_sai_comes_first_in_sai_mode_and_vibration_later(anatomy):
 
 
 def test_a_cathode_blurs_what_an_anode_focuses(mouse):
-    """A cathode fires afferents with more distant receptors than an anode (III-B.5, Fig. 15)."""
+    """Afferents that a cathode fires have farther receptors than those of an anode (III-B.5)."""
     anodic, cathodic = (
         shift(
             mouse.fingers, CLEAR_MA * against_all(mouse.profile, each), mouse.sites, list(Afferent)
@@ -77,8 +77,8 @@ def test_a_cathode_blurs_what_an_anode_focuses(mouse):
 def test_pc_is_felt_toward_the_fingertip(mouse, flat_mm, shift_mm):
     """The shift is 1 to 3 mm, as in Section III-B.4, if horizontal axons are at most 5 mm long.
 
-    Expected shifts are means over 20 fingers; means over 4 fingers differ by up to 0.16 mm. With
-    axons of 7 mm, which our anatomy assumes, the shift is 0.5 mm above the paper's range.
+    Expected shifts are means over 20 fingers. Means over 4 fingers differ from them by 0.16 mm at
+    most. With axons of 7 mm, as in our anatomy, the shift is 3.5 mm; the paper's largest is 3 mm.
     """
     anatomy, none = load_anatomy("paper"), {"density_per_cm2": 0.0}
     alone = {each: getattr(anatomy, each).model_copy(update=none) for each in ("ra", "sai")}
@@ -96,9 +96,9 @@ def test_pc_is_felt_toward_the_fingertip(mouse, flat_mm, shift_mm):
 def test_each_mode_fires_its_class_most(mouse, mode, most_pc):
     """Each mode fires mostly its own class, and few PC.
 
-    A bound is the ratio of PC to afferents of the mode's class over 60 fingers (0.027 for RA, 0.117
-    for SAI) plus two standard deviations of this ratio over 4 fingers (0.016 for RA, 0.018 for
-    SAI). In the paper, RA mode fires no PC.
+    The test limits the number of PC per afferent of the mode's class. The limit is the ratio in 60
+    fingers (RA 0.027, SAI 0.117) plus twice the standard deviation between groups of 4 fingers (RA
+    0.016, SAI 0.018). In the paper, RA mode fires no PC.
     """
     current_ma = CLEAR_MA * kernel_ma(mouse.profile, mouse.bank, mode)[mouse.sites]
     counts = sum(
@@ -167,7 +167,7 @@ def fingers():
 
 
 def nearest_hz(fingers, spec, afferent, count):
-    """Return the rates of the afferents nearest to the center, for one class, (F, count) Hz."""
+    """Return the rates of ``count`` afferents of a class, nearest to the center, (F, count) Hz."""
     rates = []
     for finger in fingers:
         mine = np.flatnonzero(finger.classes == afferent)
@@ -209,7 +209,7 @@ def depths(profile):
 
 
 def test_one_threshold_gives_all_of_a_flat_fiber(depths):
-    """At each depth and polarity, the prediction differs by at most 20 % from the cable model."""
+    """Thresholds predicted from one of them are within 20 % of those of the cable model."""
     for depth_mm in DEPTHS_MM:
         for polarity in ("cathodic", "anodic"):
             assert depths["flat fiber", polarity, depth_mm].ratio == pytest.approx(1, abs=0.2)
