@@ -46,7 +46,7 @@ def test_short_writes_over_tcp_do_not_wait(scheme):
 
 @pytest.fixture
 def plugged(tmp_path, usb_ports):
-    """Return a function that plugs in a device and returns its port name and the device's end."""
+    """Return a function that plugs in a device. It returns the port's name and the device's pty."""
     ends, name = [], tmp_path / "port"
 
     def plug(**usb):
@@ -175,7 +175,7 @@ def test_a_line_that_takes_nothing_is_a_fault(pipe):
 
 
 def test_what_had_to_wait_for_the_line_is_looked_at_again(pipe):
-    """A packet whose deadline passes while the line is full is not written."""
+    """If a packet's deadline passes while the line is full, the packet is not written."""
     fill(pipe)
     times = iter([0, 6])
 

@@ -15,7 +15,7 @@ def is_prioritized():
 
 
 def in_a_thread(work):
-    """Return the result of ``work`` in a new thread, whose priority no test has changed."""
+    """Run ``work`` in a new thread, whose priority no test has changed. Return its result."""
     found = []
     thread = threading.Thread(target=lambda: found.append(work()))
     thread.start()

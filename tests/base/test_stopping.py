@@ -41,7 +41,7 @@ def test_one_that_fails_does_not_keep_others_from_being_called():
 
 
 def test_one_that_fails_in_any_way_is_raised_once_all_were_called():
-    """An error is raised only after all calls: a board's fault must not leave others running."""
+    """All functions are called before an error is raised, so that the other boards stop, too."""
     stop, told = StopRequest(), []
     with stop.on_stop(lambda: told.append(1)), stop.on_stop(lambda: 1 / 0):
         with pytest.raises(ZeroDivisionError):
