@@ -20,9 +20,9 @@ from smarttouch.running.step import OnEvent, OnStep
 
 @dataclass(frozen=True)
 class Subject:
-    """Participant whose chance of success is a cumulative normal of the comparison's logarithm.
+    """Participant whose chance of success is the normal CDF of the comparison's logarithm.
 
-    At `threshold`, without guesses and lapses, the share of successes is `level`.
+    At the comparison `threshold`, the chance of success is `level`, without guesses and lapses.
     """
 
     threshold: float
@@ -163,7 +163,7 @@ class Silent:
 
 
 class Sat(SimpleNamespace):
-    """Result of an experiment: source, rows, figures, and events, each with its time and text."""
+    """Result of an experiment: its source, rows, figures, and events. An event is (time, text)."""
 
     def events(self, start):
         """Return the texts of the events that begin with ``start``."""

@@ -42,7 +42,7 @@ class SimulatedCell:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPatch:
-    """Optical sensor with uneven light, and pixels of varied gain and dark level, some broken."""
+    """Optical sensor with uneven light. Gain and dark level of its pixels vary; some are broken."""
 
     shape: tuple[int, int] = (64, 64)
     noise_levels: float = 2.0
@@ -93,7 +93,7 @@ class View:
     seed: int = 0  # seed of the noise and of the light's direction
 
     def homography(self, optics, shape):
-        """Return the homography of a pinhole camera from the page, mm, to pixels, (3, 3)."""
+        """Return the homography of a pinhole camera, (3, 3). It maps the page, mm, to pixels."""
         rows, columns = shape
         scale = self.zoom * min(columns / optics.field_width_mm, rows / optics.field_height_mm)
         focal = scale * self.distance_mm

@@ -62,7 +62,7 @@ def test_cut_anywhere_loses_the_cut_line_alone(tmp_path_factory, rows, data):
     path.write_bytes(cut)
     with AnswerFile(path, ABOUT) as file:
         kept = len(file.rows)
-        # A line without its line end, but with all cells, is complete.
+        # A line is complete if it has all cells, even without its line end.
         assert kept in {max(cut.count(b"\n") - 1, 0), cut.count(b"\n")}
         for row in rows[kept:]:
             file.append(row)
@@ -75,8 +75,8 @@ SHEETS = {
     "Windows": (",", ".", "\r\n", True),
     "German": (";", ",", "\r\n", True),
     "tabs": ("\t", ",", "\n", True),
-    "no last line end": (",", ".", "\n", False),
-    "no last carriage return": (",", ".", "\r", False),
+    "no newline at the end": (",", ".", "\n", False),
+    "no carriage return at the end": (",", ".", "\r", False),
 }
 
 

@@ -52,7 +52,7 @@ def test_any_answers_give_estimates_in_their_intervals_that_rise_with_the_share(
 
 
 def test_two_points_by_hand():
-    """Shares of 1/4 at 0 and 3/4 at 2 give midpoint 1 and spread 1 / z: norm.cdf(z) is 3/4."""
+    """Success in 1/4 of trials at 0 and 3/4 at 2 gives midpoint 1, spread 1 / norm.ppf(3/4)."""
     z = norm.ppf(0.75)
     model = Model(guess=0.0, logarithmic=False, most_lapses=0.0)
     found = fit(counts_of([0, 2], [2000, 2000], [500, 1500]), model)
@@ -156,7 +156,7 @@ def test_beyond_the_range():
 
 
 def test_one_sided_and_of_two_intervals_are_tested_against_guessing():
-    """Shares that stay near 75 %, as in adaptive procedures, are not taken for guesses."""
+    """Success shares near 75 %, as in adaptive procedures, are not mistaken for guesses."""
     stimulus = [32.0, 33, 34, 35, 36]
     share = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10], standard=30.0)
     assert judge_answers(share, usual_model([share])).verdict is None

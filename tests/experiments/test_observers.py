@@ -97,7 +97,7 @@ class TestTheThresholdsOfThePaper:
 
     @pytest.fixture
     def ratio_of(self, finger, train):
-        """Return a function that gives the ratio of PC to RA spikes for pulses of a class."""
+        """Return a function that gives the ratio of PC to RA spikes, when a class is stimulated."""
         return lambda afferent: Nerve(finger).of(train(20, afferent, seconds=1)).ratio
 
     def test_in_ra_mode_frequency_is_lost_above_60_hz(self, ratio_of):

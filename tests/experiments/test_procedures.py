@@ -54,7 +54,7 @@ def test_unanswered_trials_come_again_once(missed, missed_again):
 
 
 def test_steps_by_hand():
-    """Success divides the comparison by 4, failure multiplies it by 64. Later factors: 2 and 8."""
+    """Success divides the comparison by 4 or, later, by 2. Failure multiplies by 64, later by 8."""
     procedure = weighted_staircase(16.0, 1.0, 256.0, 1.0)
     answers = [True, True, False, True, True, False, True]
     shown = [next(procedure), *map(procedure.send, answers)]

@@ -38,7 +38,7 @@ def test_a_known_patch():
 
 
 def test_after_is_judged_on_frames_that_the_correction_was_not_made_from():
-    """A flat field from one noisy frame makes that frame even, but not another frame."""
+    """A flat field from one noisy frame removes the unevenness of this frame only."""
     result = found(SimulatedPatch(noise_levels=5.0), frames=2)
     assert result.uneven_after > 0.03
 
@@ -55,7 +55,7 @@ def test_paper_that_moved_is_refused():
 
 
 class Listed(OpticalSource):
-    """Source that returns each image twice, and marks the third image as stale."""
+    """Source that returns each image of a list twice. The third image of the list is stale."""
 
     def __init__(self, images, end=True):
         super().__init__("a list")
@@ -167,7 +167,7 @@ def test_a_sensor_too_coarse_for_any_target():
 
 
 def test_the_target_as_it_is_printed(tmp_path, profile):
-    """The drawn PNG file is recognized, and its resolution gives the target the stated size."""
+    """The drawn PNG file is recognized. The file's dpi gives the target its stated size."""
     target = PageTarget(0.3)
     target.draw(tmp_path / "target.png")
     with Image.open(tmp_path / "target.png") as image:

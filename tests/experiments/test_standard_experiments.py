@@ -226,7 +226,7 @@ def line():
 
 @pytest.fixture
 def play(line):
-    """Return a function that runs free stimulation; ``does`` maps seconds to keys or levels."""
+    """Return a function that runs free stimulation. ``does`` maps times, s, to keys or levels."""
 
     def run_it(seconds, does):
         steps, events, waiting = [], [], sorted(does.items())

@@ -1,4 +1,4 @@
-"""Ascending limits measure the thresholds of simulated participants within the board's limits."""
+"""The method of ascending limits finds simulated thresholds, and the board's limits are kept."""
 
 import contextlib
 import math
@@ -194,7 +194,7 @@ def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, begun):
 
 
 class Losing(MemoryDriver):
-    """Driver whose connection breaks once after each number of sequences in `at`."""
+    """Driver whose connection breaks after ``n`` sequences, once for each ``n`` in `at`."""
 
     at = ()
 
@@ -228,7 +228,7 @@ def test_a_board_that_is_lost_all_the_time(profile, begun):
 
 @pytest.mark.parametrize("key", STOP_KEYS)
 def test_a_person_is_instructed_and_stops(tmp_path, key):
-    """Each stop key ends the session; an empty key means that the terminal is gone."""
+    """Each stop key ends the session. So does an empty string, which means a lost terminal."""
     heeding, said = [], []
 
     @contextlib.contextmanager
@@ -373,7 +373,7 @@ def test_keys_without_current_are_counted_and_restart_the_pause():
         assert rising.level_ma == 0
         rising.answer(True)
     rising.until(1e-9)
-    # At the first step of current a key is too early to be a reaction.
+    # A key press at the first step of current is too early to be a reaction.
     rising.answer(True)
     assert rising.level_ma == 0
     for level_ma in (1.0, 2.0):
@@ -407,7 +407,7 @@ def test_whatever_is_pressed_it_ends_within_the_ceiling(ceiling, expected, share
     for _ in range(20_000):
         if rising.found is not None:
             break
-        # Press only while current flows: a key during the pause restarts the pause.
+        # Press only while current flows: a key press during the pause restarts the pause.
         rising.answer(rising.level_ma > 0 and random.random() < share)
     assert rising.found is not None or share > 0.02
     if rising.found is not None and rising.found.felt:

@@ -82,7 +82,7 @@ def test_trains_have_the_asked_frequency_to_the_microsecond(profile, take):
 
 
 def test_before_a_trial_intensity_is_there_and_between_intervals_silence(profile, take):
-    """Pulses near threshold raise the ramp before a trial; the trial has full intensity."""
+    """Before a trial, pulses near threshold complete the ramp: the trial has full intensity."""
     steps = []
     take(
         Perfect(), FEW | {"gap_s": 0.333},
@@ -320,7 +320,7 @@ def shown(rows):
 
 
 def respond(path, answers, most=1000, name="frequency", **options):
-    """Answer at most ``most`` trials from a cyclic list; return whether the session is over."""
+    """Answer up to ``most`` trials from a repeated list. Return whether the session is over."""
     setup = Setup(MOUSE, **{"standards": "30,60", "repetitions": 1, "trials": 8} | options)
     with open_experiment(name, setup, path, "p", "s") as sitting:
         trials = sitting.source()._trials
@@ -359,7 +359,7 @@ def test_stopped_and_killed_sessions_have_each_trial_once(
 
 @pytest.mark.parametrize("other", [{"standards": "45"}, {"standards": "30", "trials": 4}])
 def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path, other):
-    """A file with another standard, or with more answers than trials, is refused."""
+    """A file is refused if its standard stimulus differs, or if it has too many answers."""
     path = tmp_path / "rows.csv"
     own = {"standards": "30"} if "trials" in other else {}
     respond(path, ["1", "2"], procedure="questplus", **own)
