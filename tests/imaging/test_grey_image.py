@@ -21,7 +21,7 @@ INK = 255 - PRINT
 
 
 def deep(bits, color=False, picture=PRINT):
-    """Return a function that writes the sample print with a depth of ``bits`` in 16-bit pixels."""
+    """Return a function that writes the sample print in 16-bit pixels, with ``bits`` used bits."""
 
     def write(path):
         levels = np.rint(picture * ((2**bits - 1) / 255)).astype(np.uint16)
@@ -212,7 +212,7 @@ def test_a_picture_with_print_goes_on_around_itself(light, around):
 
 
 def test_frames_stay_comparable():
-    """A darker image stays darker; a brighter image raises the white level of later images."""
+    """A brighter image raises the white level, which never falls: darker images stay darker."""
     converter = GreyConverter()
     levels = [
         int(converter.convert(np.full((8, 8), level, np.uint16)).max())

@@ -15,7 +15,7 @@ def changed(profile, **optics):
 
 
 def felt(registration, ink):
-    """Return the mean of an ink mask, 0 to 255, under each electrode, (E,) in [0, 1]."""
+    """Return the mean ink under each electrode, (E,) in [0, 1]. ``ink`` is a mask of 0 and 255."""
     pixel, share = registration.apertures
     return (ink.ravel()[pixel] * share).sum(axis=0)
 
@@ -38,7 +38,7 @@ def test_every_electrode_of_every_profile_is_in_the_field(name):
 
 
 def test_rotation_and_offset(profile):
-    """A sensor turned by 90° shows a dot on the right at the bottom; an offset shifts the dot."""
+    """Turning the sensor by 90° moves a dot from the right to the bottom. An offset moves it."""
     ink = np.zeros((64, 64), np.uint8)
     ink[28:36, 56:64] = 255
     turned = Registration(profile.electrodes, changed(profile, rotation_deg=-90.0), (64, 64))
@@ -52,7 +52,7 @@ def test_rotation_and_offset(profile):
 
 
 def flat(optics, **changes):
-    """Return optics with a homography equivalent to their field of view, rotation and offset."""
+    """Return ``optics`` with a homography in place of its field of view, rotation and offset."""
     across = optics.sensor_columns / optics.field_width_mm
     down = optics.sensor_rows / optics.field_height_mm
     turn = np.radians(optics.rotation_deg)

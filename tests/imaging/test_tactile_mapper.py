@@ -153,7 +153,7 @@ def test_dimming_light_and_a_darker_place_to_land_stay_silent(binarizer):
 @pytest.mark.parametrize(("ink", "seen"), [(30, 1.0), (70, 0.0)])
 def test_only_a_black_area_is_ink(binarizer, patch, ink, seen):
     binarizer.ink(patch(0, 0), 0, True)
-    for tenth in (1, 10):  # the white level of the first frame still counts
+    for tenth in (1, 10):  # the white level of the first frame stays in use
         assert share(binarizer.ink(patch(0, 64, ink=ink), tenth * SECOND // 10, True)) == seen
     half = binarizer.ink(patch(0, 40, ink=ink), SECOND, True)
     assert share(half[:, :36]) == seen
@@ -166,7 +166,7 @@ def test_bold_strokes_of_grey_print_are_ink_and_tiny_frames_work(binarizer, patc
 
 
 def follow(drive, images, touching=True, start_ns=0):
-    """Filter one image of ink every 20 ms; return the activation of RA and of SAI, (T, E) each."""
+    """Filter images of ink, 20 ms apart. Return the activation of RA and of SAI, (T, E) each."""
     rows = []
     for step, ink in enumerate(images):
         activation = np.zeros((3, len(ink)), np.float32)
