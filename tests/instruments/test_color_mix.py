@@ -128,7 +128,7 @@ def make_source(profile, bank):
 
 
 def asked(source, stretch=1.0):
-    """Return time, µs, and stimulus of each read; sequences last ``stretch`` times their period."""
+    """Return the time, µs, and stimulus of each read. Periods are ``stretch`` times as long."""
     frames, now_us = [], 0
     while (frame := source.read(now_us * 1000)) is not None:
         frames.append((now_us, frame))
@@ -160,7 +160,7 @@ def test_a_note_says_what_pc_costs_unless_a_vibrator_plays_it(profile, bank):
     source = open_vibration("tone:250Hz,1.5um", profile, seconds=0.5)
     (note,) = source.notes
     assert numbers_in(note) == [pytest.approx(bank.off_target[Afferent.PC].max(), abs=0.05)]
-    # This PC kernel activates RA more strongly than PC, but less than the note states.
+    # This PC kernel activates RA more strongly than PC. The note states the strongest of all.
     kernel = bank.weights[Afferent.PC][35]
     assert bank.receptor[Afferent.PC][35] @ kernel == pytest.approx(1, rel=1e-5)
     assert 1 < (bank.receptor[Afferent.RA] @ kernel).max() < numbers_in(note)[0]
@@ -181,8 +181,8 @@ ALONE = {
     Afferent.SAI: ("press:0.45N", 25.0),
     Afferent.PC: ("tone:250Hz,1.5um", 125.0),
 }
-"""For each class, a trace to which only this class responds, and its pulse rate, Hz. RA has one
-pulse per cycle, PC one per two cycles. Half of the full force gives SAI half of its full rate."""
+"""Traces to which only one class responds, and the pulse rate of this class in Hz. RA has one pulse
+per cycle, PC one per two cycles. At half of the full force, SAI has half of its full rate."""
 LEVEL = 0.25
 """Intensity at which the limit of net current still allows PC pulses at 125 Hz."""
 

@@ -46,7 +46,7 @@ class Played(HandMotion):
 
 
 def frames_of(source):
-    """Read a source to its end, 100 times a second."""
+    """Return all frames of a source that is read 100 times a second."""
     return list(takewhile(bool, (source.read(10_000_000 * k) for k in count())))
 
 

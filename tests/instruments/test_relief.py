@@ -27,7 +27,7 @@ WIDE_MM = 20.0  # value of `grain_mm` at which motion along ridges evokes no pul
     ways=st.lists(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), min_size=1, max_size=8),
 )
 def test_ridges_of_a_grating_are_where_they_are(pitch, angle, ways):
-    """The number of ridges passed is the difference of the integer parts of the phases."""
+    """The change of the phase's integer part is the number of ridges that the finger passes."""
     texture = open_texture(f"grating:{pitch}mm,{angle}deg")
     position = np.array([[0.3, 0.7], [-5.1, 2.2], [7.3, -7.9]])
     feeler = texture.feeler(position)
@@ -58,7 +58,7 @@ def test_a_grating_is_drawn_where_it_is_felt():
 
 
 def crests(texture, start, step, count, electrodes=ONE):
-    """Move in steps; return x and y in mm and the texture's height at each pulse, (N, 3)."""
+    """Move in steps. Return x in mm, y in mm and the texture's height for each pulse, (N, 3)."""
     feeler = texture.feeler(electrodes)
     place = np.array(start, float)
     feeler.place(*place)

@@ -42,7 +42,7 @@ class Client:
 
 @pytest.fixture
 def opened(tmp_path):
-    """Return a class; each object is a run that a socket controls."""
+    """Return a class. Each of its objects is a run that a socket controls."""
     doors = []
 
     class Door:
