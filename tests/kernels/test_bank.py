@@ -49,7 +49,7 @@ def test_shipped_banks_answer_their_profiles(name, cache, monkeypatch):
             np.ones(count), rel=1e-4
         )
         assert np.abs(bank.kernels(afferent)).max(axis=1) == pytest.approx(np.ones(count))
-        # Skip the ring of `concentric`: in the middle of a ring, the sign is reversed.
+        # Skip the ring of `concentric`: the effect of a ring at its center has the opposite sign.
         own = np.diag(weights)[: 1 if name == "concentric" else None]
         if afferent is Afferent.RA:
             assert np.all(own < 0)

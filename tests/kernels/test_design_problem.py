@@ -71,7 +71,7 @@ SQUARE = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [0, 2], [2, 2]], "s
     ("electric-mouse", {"array": SQUARE | {"size_mm": [1.0, 1.0]}}, 8),
     # The only remaining mirror axis is the diagonal through the masked electrode.
     ("electric-mouse", {"output.masked": [27]}, 2),
-    # Without limits of total or electrode currents, thresholds do not change kernels.
+    # Thresholds change kernels only if the total or the current of electrodes is limited.
     ("smarttouch-4x4", {"perception.threshold_ma": [1.2] * 15 + [1.1]}, 8),
 ], ids=["free", "upright", "square", "masked", "thresholds"])  # fmt: skip
 def test_how_many_symmetries_there_are(changed, name, keys, count):
@@ -191,7 +191,7 @@ def test_a_confined_bank_is_that_of_masked_arrays(grid, changed, tmp_path, monke
         assert judged.off_target == pytest.approx(best.off_target, rel=1e-6)
     for weights in bank.weights.values():
         assert np.abs(weights.sum(axis=1)).max() < 1e-12
-    # The bank is found for its own profile, but not if kernels may drive all electrodes.
+    # The bank is found for its own profile. It is not found if kernels may drive all electrodes.
     monkeypatch.setattr("platformdirs.user_cache_path", lambda _: tmp_path)
     write_bank(tmp_path / f"{problem_hash(profile)}.npz", profile, bank)
     assert find_bank(profile) is not None

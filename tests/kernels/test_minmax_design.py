@@ -53,7 +53,7 @@ def test_pc_cannot_be_selected_and_is_symmetric(line):
     kernel = design_kernel(problem, 3, given_up=0)
     assert kernel.off_target == pytest.approx(3.04, abs=5e-4)
     assert kernel.weights == pytest.approx(kernel.weights[::-1], abs=1e-9)
-    assert kernel.off_target_class is Afferent.RA, "RA and SAI are equal: expected the first"
+    assert kernel.off_target_class is Afferent.RA, "off-target is equal for RA and SAI: expected RA"
     assert (problem.axon(3) @ kernel.weights).max() == pytest.approx(1, abs=1e-6)  # paper, Eq. 11
 
 
@@ -101,7 +101,7 @@ def test_row_generation_misses_no_row(three_by_three, changed, afferent):
 
 
 def test_two_nerves_are_easier_than_three(line):
-    """Off-target is smaller against one other class (Eq. 10) than against two (Eq. 16)."""
+    """Off-target is smaller if only one other class counts (Eq. 10) than if two do (Eq. 16)."""
     three = design_kernel(Problem(line, Afferent.SAI), 3, given_up=0)
     two = [
         design_kernel(Problem(line, Afferent.SAI, [other]), 3, given_up=0)
@@ -200,8 +200,8 @@ def optimum(problem, site, spill=0.2, given_up=None):
 
     The linear program shares no code with the package. Its variables are the maximum t, weights w
     and, if the total is limited, magnitudes of w. If the spill bound cannot be kept, t is the
-    larger of off-target and spill. If ``given_up`` is given, off-target may rise by this share of
-    its smallest value; return the smallest spill instead."""
+    larger of off-target and spill. If ``given_up`` is not None, return the smallest spill instead;
+    off-target may then exceed its smallest value by the share ``given_up``."""
     total, _ = limits_ma(problem.profile)
     count = problem.electrodes
     magnitudes = count if np.isfinite(total) else 0
