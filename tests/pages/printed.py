@@ -116,13 +116,13 @@ def degrade(
     jpeg: int | None = None,
     seed: int = 0,
 ) -> Printed:
-    """Simulate a bad scan or a photograph of a page; its true baselines move with the image.
+    """Simulate a bad scan or a photograph of a page. Its baselines are transformed with the image.
 
-    ``skew_deg`` rotates clockwise. ``uneven``, 0 to 1, is the strength of a slope of brightness, of
-    dark corners and of a shadow. ``noise`` is a standard deviation in grey levels. ``perspective``
-    is the fraction by which the far edge of the sheet is narrower; the sheet lies on a dark table.
-    ``curvature``, mm, is the bend of the lowest line, as in an open book; at the top, lines bend by
-    a third of it. ``jpeg`` is the quality of compression.
+    ``skew_deg`` rotates clockwise. ``uneven``, 0 to 1, is the strength of three effects: brightness
+    that falls across the page, dark corners and a shadow. ``noise`` is a standard deviation in grey
+    levels. ``perspective`` puts the sheet on a dark table; it is the fraction by which the far edge
+    is narrower. ``curvature`` is the bend of the lowest line in mm, as in an open book; the top
+    line bends by a third of that. ``jpeg`` is the quality of compression.
     """
     grey = printed.page.grey
     if inverted:

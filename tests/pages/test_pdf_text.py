@@ -34,7 +34,7 @@ def put(x, y, text, size=10, font="F", turn=(1, 0, 0, 1), more=""):
 
 
 def marked(x, y, *parts):
-    """Return PDF operators of a line. Every second part is raised (with a leading _: lowered)."""
+    """Return operators of a line. Every second part is raised, or lowered if it begins with _."""
     shown = b"BT %d %d Td " % (x, y)
     for k, part in enumerate(parts):
         rise = 4 - 6 * (part[0] == "_") if k % 2 else 0

@@ -27,7 +27,7 @@ def straight(printed):
 
 
 def likeness(strip, other):
-    """Return the correlation of two strips after the best small shift and change of width."""
+    """Return the largest correlation of two strips over small shifts and changes of width."""
     best = 0.0
     for width in np.linspace(0.97, 1.03, 13) * other.shape[1]:
         one = cv2.resize(strip, (round(width), HEIGHT), interpolation=cv2.INTER_AREA)
