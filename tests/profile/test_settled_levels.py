@@ -14,13 +14,13 @@ SECOND = 10**9
 
 
 class Run:
-    """Run of a participant who keeps one level after another."""
+    """Run in which a participant stays at one level after another."""
 
     def __init__(self, profile, most=1.0):
         self.levels, self.time_ns = SettledLevels(profile, most), 0
 
     def keep(self, level, seconds, mode="RA", force_n=0.8, observed=()):
-        """Keep a level for a time; return the messages that offer an earlier level."""
+        """Stay at a level for some seconds. Return the messages that offer an earlier level."""
         offers = []
         for _ in range(round(seconds * 10) + 1):
             offers.append(self.levels.note(self.time_ns, mode, level, force_n, observed))

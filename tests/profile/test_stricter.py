@@ -1,4 +1,4 @@
-"""Limits of one profile applied to another: of each limit, the stricter value holds."""
+"""Two profiles are combined: for each limit, the stricter value applies."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_currents_of_single_electrodes(profile):
 
 
 def test_limits_that_lower_the_pulse_lower_what_is_comfortable(profile):
-    """The shorter pulse and the lower comfort level apply together, within all limits."""
+    """The result has the shorter pulse and the lower comfort level, and keeps all limits."""
     shorter = profile.model_copy(
         update={
             "limits": profile.limits.model_dump() | {"pulse_us": 100.5, "charge_uc": 0.2},
