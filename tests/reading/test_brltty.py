@@ -97,7 +97,7 @@ class Scripted(BrailleDisplaySource):
 
 
 class Finger:
-    """Scripted source, read by a simulated clock; its line moves by one cell per second."""
+    """Scripted source whose line moves by one cell per second of a simulated clock."""
 
     def __init__(self):
         layout = cell_layout(PROFILE, eight=True)
@@ -258,7 +258,7 @@ def test_texts_are_shown_keys_arrive_and_restarts_are_survived(brltty):
     real, source = brltty
 
     def put(writer, text, cursor=0):
-        """Write a text until the source shows it: BRLTTY can lose text just after its start."""
+        """Repeat a text until the source shows it: BRLTTY can lose text right after it starts."""
 
         def is_shown():
             writer.write(text, cursor)

@@ -113,7 +113,7 @@ def test_many_points_in_a_slot_are_felt_as_they_are_one_by_one(way, make_line):
     by_points = deliver_pulses(line, way).picture.values()
     shared = replace(way, sharing=SlotPolicy((Afferent.RA,)))
     at_once = deliver_pulses(line, shared).picture.values()
-    # In a shared slot, activation can be 4 % too small. This is 8 % of the range above threshold.
+    # Currents of a shared slot can be 4 % low: 8 % of the range from threshold (half) to full.
     assert np.abs(at_once - by_points).max() < 0.12
     assert not np.array_equal(at_once, by_points)
 

@@ -133,7 +133,7 @@ def test_how_the_program_is_called(program, spotted, tmp_path):
     recognize(spotted, languages="eng+deu", layout=BLOCK)
     told = (tmp_path / "told").read_text().strip()
     assert told == "1 stdin stdout -l eng+deu --psm 6 tsv"
-    # An image of 64,000 pixels is reduced, because Tesseract rejects such wide images.
+    # An image that is 64,000 pixels wide is reduced, because Tesseract rejects such images.
     recognize(np.repeat(spotted, 160, axis=1))
     with Image.open(tmp_path / "given") as given:
         assert given.size == (32_000, 20)
