@@ -161,7 +161,7 @@ def test_the_numbers_of_one():
     planned = add_recharge(sequence(ONE), NOTHING, rules(120))
     # Returning 0.2 µC at 120 µA takes 1667 µs.
     assert planned.recharge_us == 1667
-    # Currents are integer µA, and no electrode returns more charge than it carries.
+    # Currents are integers in µA with sum 0. No electrode returns more charge than it carries.
     assert planned.recharge_ua.tolist() == [-118, 71, 47, 0]
     assert net_charge_pc(planned).tolist() == [3294, -1643, -1651, 0]
     assert planned.period_us == 20_000
@@ -174,7 +174,7 @@ def test_one_that_does_not_fit_makes_the_period_longer():
     # The duty limit of 0.8 sets the period; pulse and recharge alone would need less time.
     assert planned.period_us == 2334 == -(-(200 + 1667) * 5 // 4)
     whole = rules(60, timing=ScanTiming(whole_hz=True))
-    # Current for 200 + 3334 µs needs a period of 4417.5 µs; the largest integer rate is 226 Hz.
+    # The duty limit needs (200 + 3334) / 0.8 = 4417.5 µs, so the largest integer rate is 226 Hz.
     assert add_recharge(sequence(ONE, period_us=1000), NOTHING, whole).period_us == 4425
 
 

@@ -48,7 +48,7 @@ class Finger:
         self.time_ns = 0
 
     def touch(self, activation=1.0, intensity=1.0, adapted=True):
-        """Return requested scan, sent scan, and the charge, µC, and voltage, V, of each slot."""
+        """Return the requested and the sent scan, and each slot's charge in µC and voltage in V."""
         self.time_ns += 20_000_000
         rows = np.zeros((3, len(self.kohm)), np.float32)
         rows[Afferent.RA] = activation
@@ -69,7 +69,7 @@ def charges_uc(scan):
 
 @pytest.mark.parametrize("profile", [MOUSE, SWITCHED], ids=lambda profile: profile.name)
 def test_charge_is_held_while_an_electrode_dries(profile):
-    """Impedance quadruples in 4 s: without control, a 300 V source loses a third of the charge."""
+    """Impedance quadruples in 4 s. Without control, a 300 V source then delivers a third less."""
     finger, plain = Finger(profile, "charge"), Finger(profile, "charge")
     lost, lost_plain = [], []
     for step in range(250):
@@ -180,7 +180,7 @@ def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
         if profile.output.kind != "weighted":
             assert np.array_equal(sent.state, asked.state), "an electrode was switched off"
         if hold == "charge" and asked.slots:
-            # Rounding a width changes charge by at most 0.5 µs × current, a width limit by more.
+            # Rounding a width changes charge by at most 0.5 µs × current. Limiting it changes more.
             apart = np.abs(charges_uc(sent) - charges_uc(asked)) * 1e6
             most_us = np.minimum(200, 500_000 // np.maximum(less.max(axis=1), 1))
             assert np.all((apart <= less.max(axis=1) / 2 + 1) | (sent.width_us >= most_us))

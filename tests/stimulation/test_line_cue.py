@@ -95,7 +95,7 @@ def test_two_rows_are_too_few(profile):
 
 
 def test_a_run_with_the_cue_is_proved_and_reproduced(profile, printed, tmp_path):
-    """On a path below the line of print, the board drives the whole first row only with the cue."""
+    """Below the line of print, the board drives all of the first row with the cue, not without."""
     points = printed.lines[1].baseline_mm
     y_mm = points[0, 1] - printed.lines[1].x_height_mm / 2 + 1.5
     driven = {}

@@ -128,7 +128,7 @@ weak_or_strong = st.lists(
 
 @given(weak_or_strong)
 def test_whatever_weak_current_claims_it_opens_a_multiple_of_itself(asked):
-    """A pulse has at most 4 times the largest charge so far, plus the ramp's rise in `LATE_NS`."""
+    """A pulse has at most 4 times the largest earlier charge, plus the ramp's rise in `LATE_NS`."""
     gate, flowed_pc, time_ns = SafetyGate(LIMITS), 0, 0
     gate.check(sequence([], intensity=0.0, time_ns=0))
     for current_ua, width_us, intensity, period_us in asked:
@@ -209,7 +209,7 @@ steps = st.lists(
 
 
 def begun():
-    """Return a ramp after a silent sequence."""
+    """Return a ramp that has seen one sequence without current."""
     ramp = Ramp(RAMP_NS)
     ramp.claim(PPB, 0, 0)
     return ramp
@@ -252,7 +252,7 @@ def test_a_restart_begins_at_zero_without_current(now_ns):
     (20, [0.04, 0.08, 0.12, 0.16]), (50, [0.04, 0.14, 0.24, 0.34]), (500, [0.04, 0.2, 0.36, 0.52]),
 ])  # fmt: skip
 def test_planned_steps_are_as_long_as_pulses_flow(period_ms, planned):
-    """The ramp's first step is its rise in 20 ms, later steps its rise in a period, up to 80 ms."""
+    """The ramp first rises for 20 ms, and then in each step for one period, but at most 80 ms."""
     ramp, found, now_ns = begun(), [], 10**9
     for _ in planned:
         found.append(ramp.allowed_level(now_ns))

@@ -32,7 +32,7 @@ def random_table(seed, kernels, electrodes):
 
 
 def slowly(table, pairs):
-    """Return the currents of a list of (kernel, amplitude), computed with Python's integers."""
+    """Return the currents for (kernel, amplitude) pairs, computed exactly by Python's integers."""
     made, carried, before = [], 0, 0
     for electrode in range(table.weights.shape[1]):
         carried += sum(int(table.weights[k, electrode]) * a for k, a in pairs)
@@ -108,7 +108,7 @@ def test_sequences_are_sums_and_proved_as_such(scan):
         assert sequence.sums.table is whole.table
         np.testing.assert_array_equal(sequence.sums.current_ua, sequence.current_ua)
         if before.current_ua.shape == sequence.current_ua.shape:
-            # Without sums, one electrode balances a slot's rounding errors, so currents differ.
+            # In `before`, one electrode per slot balances rounding errors, so currents differ.
             np.testing.assert_allclose(sequence.current_ua, before.current_ua, atol=12)
         if (proof := sequence.proof) is not None:
             assert np.maximum(proof.off_target, proof.spill)[proof.points > 1].max(initial=0) <= 0.3

@@ -262,7 +262,7 @@ def test_no_second_has_more_than_its_net_charge(seed):
         next_us = plan.next_period_us(net_pc, time_us, period_us, period_us // 2)
         if next_us is not None:
             sent.append((time_us + period_us // 2, net_pc))
-        # Sum the net charges of the last pass, the last two and so on: each sum keeps the limit.
+        # Sum the net charges of the last pass, the last two passes and so on. Each sum is limited.
         kept = [net_pc for end_us, net_pc in reversed(sent) if end_us > time_us - 1_000_000]
         assert np.abs(np.cumsum(kept, axis=0)).max(initial=0) <= NET_PC
         time_us += math.ceil(next_us or period_us)

@@ -90,7 +90,7 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
         mine = np.argsort(-part[slot])[:points]
         weakest = (reached[slot] / np.where(level > 0, level, np.inf))[mine].min()
         assert site[slot] in mine
-        # For a single point, the proof states the off-target of its kernel before rounding.
+        # For a single point, the proof states off-target of the point's kernel before rounding.
         rounding = 0.01 + (0.03 / intensity if points == 1 else 0)
         true = others[slot] / weakest
         if points == 1:
@@ -131,7 +131,7 @@ def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
 
 
 def test_where_nothing_is_proved_points_are_shown_one_by_one(profile, bank, made):
-    """SAI sites are not independent: 16 kernels together activate RA twice as strongly as SAI."""
+    """SAI sites cannot share a slot: 16 kernels together activate RA twice as strongly as SAI."""
     activation = np.zeros(64, np.float32)
     activation[:10] = 1
     found = made[Afferent.SAI].slots(activation, 1.0)
@@ -141,7 +141,7 @@ def test_where_nothing_is_proved_points_are_shown_one_by_one(profile, bank, made
     assert found.site.tolist() == alone.site[order].tolist()
     assert found.current_ua == pytest.approx(alone.current_ua[order], abs=40)
     assert found.proof.off_target == pytest.approx(bank.off_target[Afferent.SAI][:10], rel=0.02)
-    # Activation 0.2 needs 0.6 of level 1; levels below 1 are divided by `_aim`, 0.96.
+    # Activation 0.2 needs level 0.6. It is divided by `_aim`, 0.96; level 1 stays 1.
     faint = made[Afferent.SAI].slots(activation * np.float32(0.2), 1.0)
     assert faint.proof.off_target == pytest.approx(0.6 / 0.96 * found.proof.off_target, rel=1e-3)
 
@@ -156,7 +156,7 @@ def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots):
 
 
 def test_masked_electrodes_carry_nothing(profile, changed):
-    # Use few electrodes, because this test designs kernels around the masked ones.
+    # Use few electrodes: no bank has kernels for these masks, and designing many is slow.
     few = {"array.rows": 4, "array.columns": 4, "skin.node_spacing_mm": 1.0}
     masked = changed(profile, few | {"output.masked": (5, 6)})
     slots = FrameSlots(masked, load_bank(masked), Afferent.RA)
@@ -180,7 +180,7 @@ def test_boards_that_cannot_are_refused(profile, bank, changed):
 
 
 def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, bank, changed):
-    """No kernels keep the bounds, so each point has its own slot, with current at the limit."""
+    """No sites may share a slot, so each point has its own slot, with current at the limit."""
     keys = {"frames.other": 0.01, "limits.current_ma": 2.35}
     alone = changed(profile, keys | {"perception.comfort_ma": (2.35,) * 64})
     activation = np.zeros(64, np.float32)
