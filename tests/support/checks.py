@@ -17,7 +17,7 @@ _NUMBER = r"-?\d[\d,]*\.?\d*(?:e[+-]?\d+)?"
 
 @contextmanager
 def raises(kind, **attributes):
-    """Expect an error of type ``kind``; check it with `assert_says` and these attributes.
+    """Expect an error of type ``kind``. Check it with `assert_says`, given ``attributes``.
 
     Yields the exception info of `pytest.raises`.
     """
@@ -29,9 +29,9 @@ def raises(kind, **attributes):
 def assert_says(error, value=None, allowed=None, names=None, **attributes):
     """Assert that an error has these attributes, and that its message is a single line.
 
-    ``value`` and ``allowed`` are attributes of a SafetyError. The message of any other error must
-    contain them. ``names`` must be in each message. An expected value can be a `pytest.approx`, or
-    a predicate that accepts the attribute or one of the numbers in the message.
+    A SafetyError must have ``value`` and ``allowed`` as attributes; any other error must state them
+    in its message. Each message must contain ``names``. An expected value can be a `pytest.approx`
+    or a predicate. A predicate must accept the attribute or a number in the message.
     """
     message = str(error)
     assert message
@@ -54,7 +54,7 @@ def assert_says(error, value=None, allowed=None, names=None, **attributes):
 
 
 def _shows(message, expected):
-    """Return whether a message shows a name, a number (also in % or millions), or all of a list."""
+    """Return whether a message contains ``expected``: a name, a number, or all items of a list."""
     expected = getattr(expected, "expected", expected)
     found = [float(each.replace(",", "")) for each in re.findall(_NUMBER, message)]
     if callable(expected):

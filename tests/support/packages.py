@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def install(place, name, groups, modules, version="1.0"):
-    """Write modules (texts by name) and metadata (entry points by group) into folder ``place``."""
+    """Write modules (a dict of texts) and metadata with entry points into folder ``place``."""
     for module, text in modules.items():
         (place / f"{module}.py").write_text(text, encoding="utf-8")
     notes = place / f"{name.replace('-', '_')}-{version}.dist-info"
@@ -19,7 +19,7 @@ def install(place, name, groups, modules, version="1.0"):
 
 
 def install_project(folder, place):
-    """Install a package, a folder with pyproject.toml and modules, into folder ``place``."""
+    """Install the package in ``folder`` (pyproject.toml and modules) into folder ``place``."""
     project = tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))["project"]
     modules = {
         path.stem: path.read_text("utf-8")

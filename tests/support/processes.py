@@ -57,7 +57,7 @@ class _Server:
             _adopt(True)
             try:
                 socket.send_fds(self._channel, [json.dumps(request).encode()], streams)
-                # Two messages in any order: 0 after the reparenting, and the program's process ID.
+                # Receive 0 when the program has its parent, and the program's ID, in either order.
                 return max(int(self._channel.recv(20)) for _ in range(2))
             finally:
                 _adopt(False)
@@ -75,7 +75,7 @@ class _SelfServer:
         for each in (sys.stdout, sys.stderr):
             each.flush()
         with warnings.catch_warnings():
-            # Python warns of forks of a process with threads; the child does not use these threads.
+            # Ignore that this process has threads: the child does not use these threads.
             warnings.simplefilter("ignore", DeprecationWarning)
             if number := os.fork():
                 return number
@@ -161,7 +161,7 @@ class Forked(subprocess.Popen):
 
 
 def _serve(channel):
-    """Fork at each request. Return the requested program in the fork, and None in the server."""
+    """Fork at each request. The fork returns the program's main function; the server, None."""
     for module in _IMPORTED:
         import_module(module)
     import_module("smarttouch.cli")._built()
@@ -176,7 +176,7 @@ def _serve(channel):
         message, streams, _, _ = socket.recv_fds(channel, _LONGEST, 3)
         if not message:
             return None
-        # Fork twice: the process in between ends at once, so the requester adopts the program.
+        # Fork twice. The process in between ends, so the requesting process becomes the parent.
         between = os.fork()
         if not between:
             if os.fork():

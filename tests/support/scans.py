@@ -1,4 +1,4 @@
-"""Helpers that make scan sequences and boards without a finger, and that complete the ramp."""
+"""Helpers that make scan sequences, make boards that are not on a finger, and complete the ramp."""
 
 import math
 from dataclasses import replace
@@ -51,7 +51,7 @@ def prove_alone(profile, sequence):
 
 
 def board_without_finger(profile, kind=MemoryDriver, **options):
-    """Return a board that is not on a finger, with limits of a profile and a driver class."""
+    """Return a board that is not on a finger, with a profile's limits and a driver of ``kind``."""
     limits = SafetyLimits.of(profile)
     driver = kind("", limits, profile.output)
     usual = {"on_a_finger": False, "claimed_time": True}
