@@ -39,7 +39,7 @@ def pytest_addoption(parser):
     parser.addoption(
         "--full", action="store_true", help="run long tests and all cases of each test, as CI does"
     )
-    parser.addoption("--runs", type=int, help="repetitions, or seconds, of tests with random input")
+    parser.addoption("--runs", type=int, help="repetitions of random tests, or their duration in s")
 
 
 def pytest_configure(config):
@@ -80,7 +80,7 @@ def pytest_collection_finish():
     """Exempt modules and tests, which exist until the end, from garbage collection."""
     gc.collect()
     gc.freeze()
-    # Each run of a loop asks whether objects are frozen. Counting all of them would be slow.
+    # Each run checks only whether this count is zero. Counting all objects would be slow.
     gc.get_freeze_count = lambda: 1
 
 
@@ -131,7 +131,7 @@ def one_thread():
 
 @pytest.fixture(scope="session", autouse=True)
 def forked_emulators(one_thread):
-    """Let boards ``emulator:`` in this process fork their emulator, which is fast."""
+    """Fork the emulators of ``emulator:`` boards: a fork starts faster than a program."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("smarttouch.emulator.drivers.subprocess", processes.forked_boards())
         yield
@@ -140,7 +140,7 @@ def forked_emulators(one_thread):
 
 @pytest.fixture(scope="session", autouse=True)
 def safety_watch():
-    """Yield the watch, with which the oracle checks gates of this process and delivery logs."""
+    """Yield the watch. It checks delivery logs and the gates of this process with the oracle."""
     watch = Watch()
     patch = watch.installed()
     yield watch
@@ -149,13 +149,13 @@ def safety_watch():
 
 @pytest.fixture
 def judges_books():
-    """Return True: check the delivery logs in each test's folder. Some folders override this."""
+    """Return True: the delivery logs of each test are checked. Some tests return False."""
     return True
 
 
 @pytest.fixture(autouse=True)
 def proved_twice(request, safety_watch, judges_books):
-    """Fail a test if the oracle refuses an accepted sequence or the pulses in a delivery log."""
+    """Fail a test if the oracle refuses what a gate accepted, or pulses in a delivery log."""
     safety_watch.on = "row" not in request.fixturenames
     yield
     # A test without the fixture ``tmp_path`` writes no delivery log.
@@ -184,7 +184,7 @@ def bank(profile):
 
 @pytest.fixture(scope="session")
 def make_bank():
-    """Return a function that makes an RA bank of two (E, E) arrays, weights and receptor."""
+    """Return a function that makes an RA bank from two (E, E) arrays, weights and receptor."""
     from smarttouch.base.afferent import Afferent
     from smarttouch.kernels.bank import KernelBank
 
@@ -265,7 +265,7 @@ def other_account():
 
         return start
 
-    # User nobody may have no access to our Python. Any other will do: no packages are needed.
+    # If user nobody cannot run this Python, use the system's: no packages are needed.
     for start in map(starter, (sys.executable, "/usr/bin/python3")):
         with suppress(OSError), start("-c", "import json") as process:
             if process.wait(60) == 0:

@@ -36,7 +36,7 @@ def described(name, value):
 
 
 def members_of(owner):
-    """Yield name and value of each member that the package defines; None for mere annotations."""
+    """Yield name and value of each member that the package defines. Annotations have value None."""
     bases = [each for each in owner.__mro__ if each.__module__.startswith("smarttouch")]
     for base in reversed(bases):
         yield from dict.fromkeys(inspect.get_annotations(base)).items()
@@ -44,9 +44,9 @@ def members_of(owner):
 
 
 def public_names():
-    """Return a dict of deprecation messages by public name, ``module.Name.member.parameter``.
+    """Map public names, ``module.Name.member.parameter``, to their deprecation messages.
 
-    The members of a class that two modules export are listed only under the first module.
+    If two modules export a class, the members of the class are listed only under the first one.
     """
     found, seen = {}, set()
     for module in MODULES:
@@ -62,7 +62,7 @@ def public_names():
 
 
 def unannounced(before, names, version):
-    """Return the missing names whose removal was not announced for this version or earlier."""
+    """Return the missing names, except those whose removal by this version was announced."""
     gone = []
     for name in sorted({*before["names"]} - {*names}):
         parts = name.split(".")

@@ -5,9 +5,9 @@
     python -m tests.strength table               # print the table of tests/strength.md
     python -m tests.strength check               # check that all faults can be inserted
 
-``run`` works on copies of the repository. It takes the fastest test of each file that runs the
-faulty line, then the second fastest, and so on, up to ``BUDGET_S`` seconds. A fault is found if a
-test fails twice with the fault and passes without it. ``run`` can be interrupted and continued.
+``run`` works on copies of the repository. Of the tests that run the faulty line, it takes the
+fastest of each file, then the second fastest of each, up to ``BUDGET_S`` seconds. A fault is found
+if a test fails twice with it and passes without it. ``run`` can be interrupted and continued.
 """
 
 import argparse
@@ -102,7 +102,7 @@ def faults_of(path):
 
 
 def choose(faults, critical, seed, without):
-    """Draw faults at random, weighted by file length; first ``critical`` from CRITICAL folders."""
+    """Draw faults at random, weighted by file length. The first ``critical`` are in CRITICAL."""
     files = [
         path
         for path in sorted(Path("smarttouch").rglob("*.py"))
@@ -139,7 +139,7 @@ def listed():
 
 
 def check(options):
-    """Check that the listed and the drawn faults change the code, and that it still compiles."""
+    """Check that each fault, listed or drawn, changes the code, and that the code compiles."""
     options.listed = False
     for faults in (listed(), chosen_faults(options)):
         for (file, line, kind), text in faults.items():
@@ -179,7 +179,7 @@ def tests_of_lines():
     def find(path, line):
         byte, bit = divmod(line, 8)
         runs = {test for test, bits in table[path] if byte < len(bits) and bits[byte] >> bit & 1}
-        runs = runs or {test for test, _ in table[path]}  # a line that runs only at import
+        runs = runs or {test for test, _ in table[path]}  # the line runs only at import: all tests
         by_file = collections.defaultdict(list)
         for test in sorted(runs, key=lambda test: (seconds[test], test)):
             by_file[test.partition("::")[0]].append(test)
@@ -295,14 +295,14 @@ def main():
     runner = commands.add_parser("run")
     runner.set_defaults(function=run)
     runner.add_argument("--copies", type=int, default=2, help="number of faults tested at once")
-    runner.add_argument("--listed", action="store_true", help="only those in tests/strength.md")
+    runner.add_argument("--listed", action="store_true", help="only faults in tests/strength.md")
     checker = commands.add_parser("check")
     checker.set_defaults(function=check)
     for command in (runner, checker):
         command.add_argument("folders", nargs="*", help="only these folders, such as boards")
         command.add_argument("--faults", type=int, default=300)
         command.add_argument(
-            "--critical", type=int, default=60, help="minimum number in stimulation and boards"
+            "--critical", type=int, default=60, help="minimum of faults in stimulation and boards"
         )
         command.add_argument("--seed", type=int, default=4)
         command.add_argument("--without", default="^$", help="regex of paths to leave out")

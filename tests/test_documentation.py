@@ -105,7 +105,7 @@ def run(words, folder):
 
 @pytest.mark.parametrize("page", [README, TUTORIAL], ids=lambda page: page.stem)
 def test_the_first_hour_goes_as_written(page, tmp_path):
-    """Commands print the output blocks of the page, except for numbers and text elided by …."""
+    """Commands print what the page shows. Numbers may differ, and … stands for any text."""
     if page is TUTORIAL and not WHOLE:
         pytest.skip("runs for minutes: pass --full to pytest")
     said = ""
@@ -174,7 +174,7 @@ def test_the_gallery_has_each_program_in_a_section():
 
 def test_modules_that_pages_name_are_there():
     text = "\n".join(page.read_text("utf-8") for page in PAGES)
-    # The last part can be a member of the module, or a group of entry points.
+    # The last part of a name can be a member of the module, or a group of entry points.
     named = set(re.findall(r"`(smarttouch(?:\.[a-z_]+)+)(?:\.[A-Z]\w*)?`", text))
     named -= {f"smarttouch.{group}" for group in ("boards", "sources", "forces", "experiments")}
     places = {name: (name, name.rpartition(".")[0]) for name in named}

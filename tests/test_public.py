@@ -158,7 +158,7 @@ def test_misspellings_are_all_that_is_found(checker):
     if importlib.util.find_spec(checker[0]) is None:
         pytest.skip(f"{checker[0]} is not installed")
     if checker[0] == "pyright" and shutil.which("node") is None:
-        pytest.skip("pyright would download Node.js: install it as node")
+        pytest.skip("install Node.js, so that pyright does not download it")
     done = subprocess.run(
         [sys.executable, "-m", *checker, *map(str, [PROGRAM, *RIGHT])],
         capture_output=True, text=True, timeout=500, check=False, cwd=PROGRAM.parents[1],
