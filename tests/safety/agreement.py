@@ -43,7 +43,7 @@ class Tally:
     refused: int = 0
     broken: Counter = field(default_factory=Counter)
     only: Counter = field(default_factory=Counter)
-    """Number of sequences that broke only this rule, by rule."""
+    """For each rule, the number of sequences that broke it and no other rule."""
     faults: Counter = field(default_factory=Counter)
     """Number of disagreements, by kind and detail (rules, limit, error or field)."""
     first: dict = field(default_factory=dict)

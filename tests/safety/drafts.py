@@ -68,7 +68,7 @@ class Draft:
         self.current_ua[slots] = row if rng.random() < 0.5 else -row
 
     def fit(self, bounds, spare_us=0):
-        """Set the period to the minimum by slots, rate and duty, plus ``spare_us``."""
+        """Set the period to the shortest that slots, rate and duty allow, plus ``spare_us``."""
         self.period_us = spare_us + max(
             math.ceil(10**6 / bounds.rate_hz),
             math.ceil(int(self.width_us.sum()) / bounds.duty),
@@ -77,7 +77,7 @@ class Draft:
 
 
 def intensity_of(ppb):
-    """Return the intensity that equals ``ppb`` when it is converted to ppb and rounded up."""
+    """Return an intensity whose value in parts per billion, rounded up, is ``ppb``."""
     value = max(0, min(ppb, WHOLE)) / WHOLE
     while value and math.ceil(exact(value) * WHOLE) > ppb:
         value = math.nextafter(value, 0)
@@ -119,7 +119,7 @@ def ordinary(oracle, rng, clock_ns, time_ns, full=False):
 
 
 def opening(oracle, clock_ns, time_ns):
-    """Return the weakest pulse that raises the ramp's level as fast as possible for `LATE_NS`."""
+    """Return a pulse with the largest strength that the ramp allows, and with least current."""
     bounds = oracle.bounds
     row = np.zeros((1, bounds.electrodes), np.int64)
     able = [site for site, most in enumerate(bounds.electrode_ua) if most]

@@ -143,10 +143,8 @@ def mean_current(draft, oracle, rng, beyond):
 
 
 def _charged(draft, oracle, site, charge_pc, rng, sign=None):
-    """Pass a charge through one electrode, in the largest allowed pulses and a smaller rest.
-
-    The net charge has the sign ``sign``; without ``sign``, pulses alternate.
-    """
+    """Pass a charge through one electrode, in the largest allowed pulses; smaller pulses carry the
+    rest. The net charge has the sign ``sign``. If ``sign`` is None, polarity alternates."""
     bounds = oracle.bounds
     level = max(1, min(level_at(bounds, draft.intensity), bounds.electrode_ua[site]))
     width_us = max(1, min(bounds.pulse_us, bounds.charge_pc // level))
@@ -182,7 +180,7 @@ def recharge(draft, oracle, rng, beyond):
     phase[sites] = [level, -level]
     draft.recharge_us = rng.randint(1, min(RECHARGE_US, RECHARGE_PC // level))
     if len(sites) == 2 and rng.random() < 0.9:
-        # Charge these electrodes by the strongest slot: a recharge phase must remove charge.
+        # First charge these electrodes, because a recharge phase may only remove charge.
         draft.resize(1)
         most = min(
             level_at(bounds, draft.intensity), *(bounds.electrode_ua[each] for each in sites)
@@ -230,7 +228,7 @@ def _weak(draft, oracle, rng):
 
 
 def _of_strength(draft, oracle, rng, most, beyond):
-    """Replace all slots by a single one of strength ``most``, set by intensity or by charge."""
+    """Replace all slots by one with the strength ``most``, limited by intensity or by charge."""
     bounds = oracle.bounds
     _weak(draft, oracle, rng)
     whole_pc = bounds.full_pc * most / (TIMES_ITS_SHARE * WHOLE)
@@ -250,7 +248,7 @@ def ramp(draft, oracle, rng, beyond):
 
 
 def strength(draft, oracle, rng, beyond):
-    """Claim full intensity with 1 µA, or more strength than earlier weak current allows."""
+    """State full intensity for 1 µA, or reach or exceed the strength that the ramp allows."""
     most = oracle.most(draft.clock_ns)
     if most < WHOLE and rng.random() < 0.5:
         _weak(draft, oracle, rng)

@@ -29,7 +29,7 @@ NO_ARRAYS = (None, 0, "array", (), b"", [0, 0])
 
 
 def _at_an_end(array, rng):
-    """Return a copy of an array with one extreme value of its type."""
+    """Return a copy of an array in which one element is an extreme or special value."""
     array = array.copy()
     if array.size:
         kind = array.dtype

@@ -24,7 +24,7 @@ class ManualClock:
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer of a gate: its frozen copy, the limit of its refusal, or the text of another error."""
+    """Answer of a gate: a frozen copy, the name of the broken limit, or an unexpected error."""
 
     accepted: bool
     copy: ScanSequence | None = None

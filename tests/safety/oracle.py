@@ -24,7 +24,8 @@ AMONG = (
     "time", "ramp", "reduces charge", "sequences in a second",
     "strong in a second", "mean in a second", "net in a second", "session time", "session charge",
 )  # fmt: skip
-"""Names of the rules that depend on earlier sequences."""
+"""Names of the rules that depend on earlier sequences. Rules with "in a second" limit the number of
+sequences, the number of perceptible (strong) pulses, the mean current, and the net charge."""
 NAMES = ("types", "range", *RULES, *AMONG)
 
 
@@ -49,7 +50,7 @@ class Sent:
     alone: object
 
     def begun(self, clock_ns):
-        """Return how many passes have begun by a time, at least 1: the first cannot be canceled."""
+        """Return the number of passes begun by a time: at least 1, as nothing cancels the first."""
         later = (clock_ns - self.start_ns) // (1000 * self.period_us)
         return max(1, min(self.times, 1 + later))
 
@@ -88,20 +89,20 @@ class Level:
         return by_time if by_time < self._strong_ppb else max(self._ppb, self._strong_ppb)
 
     def most(self, time_ns):
-        """Return the largest strength that a sequence at ``time_ns`` may have. The first sequence
-        must have strength 0, apart from rounding errors."""
+        """Return the largest strength that a sequence at ``time_ns`` may have. For the first
+        sequence it is 0, plus the tolerance for rounding errors."""
         if not self.begun:
             return FREE_RISE
         return self.at(time_ns) + FREE_RISE + self._bounds.late_rise
 
     def sent(self, ppb, strong_ppb, time_ns, current_ns):
-        """Record a sequence written at ``time_ns``; current flows during ``current_ns``."""
+        """Record a sequence that was written at ``time_ns`` and has current for ``current_ns``."""
         if self._from_ns is None and not current_ns:
             return
         ahead_ns = 0
         if self._from_ns is not None:
             passed_ns = max(time_ns - self._from_ns, 0)
-            # The board drops repetitions, but finishes its pass. At most `LATE_NS` of it count.
+            # The board drops repetitions, but finishes its pass. Count at most `LATE_NS` of it.
             ahead_ns = min(max(self._current_ns - passed_ns, 0), LATE_NS)
         if current_ns:
             self._ppb, self._strong_ppb = min(ppb, self.at(time_ns)), strong_ppb
@@ -176,7 +177,7 @@ class Oracle:
         return broken
 
     def wrote(self, sent, clock_ns):
-        """Record that a sequence was written; ``sent`` is `newest` as `judge` has set it."""
+        """Record that a sequence was written; ``sent`` is the `newest` that `judge` set for it."""
         clock_ns = max(clock_ns, self.clock_ns or 0)
         ppb, strong_ppb, current_ns = sent
         self._level.sent(ppb, strong_ppb, clock_ns, current_ns)
@@ -186,7 +187,7 @@ class Oracle:
         return self._level.most(clock_ns)
 
     def passes_by(self, clock_ns):
-        """Return all passes that at ``clock_ns`` run or ended less than a second ago."""
+        """Return all passes that run at ``clock_ns`` or ended less than a second before it."""
         passes = list(self._passes)
         if self._last is not None:
             begun = self._last.begun(clock_ns)
@@ -195,11 +196,12 @@ class Oracle:
         return [each for each in passes if each.end_ns > clock_ns - NS]
 
     def in_the_second_before(self, clock_ns):
-        """Return, by electrode, perceptible pulses and charge, pC, in the second before a time."""
+        """Return two arrays over electrodes for the second before a time: the number of
+        perceptible pulses, and the charge, pC."""
         return self._sums(self.passes_by(clock_ns))
 
     def most_net_before(self, clock_ns):
-        """Return the largest and smallest net charge, pC, over the latest 0, 1, 2, … passes."""
+        """Return the largest and smallest net charge, pC, over the last 0, 1, 2, … passes."""
         high = low = sums = np.zeros(self.bounds.electrodes, np.int64)
         for each in reversed(self.passes_by(clock_ns)):
             sums = sums + each.net_pc
@@ -243,10 +245,9 @@ class Oracle:
         return True
 
     def _seconds(self, new, known, clock_ns):
-        """Return, for each rule over a second, whether every second with new passes keeps it.
+        """Return, for each rule over one second, whether new passes keep it in each second.
 
-        A second after the end of the first new pass, sums no longer grow, so the check ends.
-        """
+        The check ends one second after the end of the first new pass: sums no longer grow."""
         alone = new.alone
         net_pc = alone.slots_pc + alone.recharge_pc
         strong, charge_pc = self._sums(known)
@@ -271,7 +272,7 @@ class Oracle:
         return keeps
 
     def _spent_by(self, clock_ns):
-        """Return time, charge and net charge of the session's passes begun by ``clock_ns``."""
+        """Return time, charge and net charge of all passes that the session began by a time."""
         if self._last is None:
             return self._spent
         spent_us, spent_pc, net_pc = self._spent

@@ -12,7 +12,8 @@ from .oracle import Oracle
 
 SEQUENCES = 9000 if WHOLE else 3500
 FIRST = 300
-"""Seed of the first stream. From here on, a few streams break every rule alone."""
+"""Seed of the first stream. From this seed on, few streams are needed until each rule has been the
+only broken rule of a sequence."""
 
 
 @pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")

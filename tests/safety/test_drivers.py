@@ -1,4 +1,4 @@
-"""Drivers can neither send sequences that the gate has not proved, nor current after a stop."""
+"""Drivers can send only sequences that the gate has proved, and no current after a stop."""
 
 import dataclasses
 import threading
@@ -72,7 +72,7 @@ def test_only_the_gate_makes_what_can_be_sent():
 
 
 def look_alike(proved):
-    """Return an object with the fields of a proved sequence, but with a stronger sequence."""
+    """Return an object with the fields of a proved sequence, but more current in ``sequence``."""
     names = [field.name for field in dataclasses.fields(proved)]
     fields = {name: getattr(proved, name) for name in names}
     return SimpleNamespace(**fields | {"sequence": sequence(1, 5000)})
@@ -103,7 +103,7 @@ def test_limits_that_a_driver_widens_are_its_own():
 
 
 def test_no_driver_gets_more_than_its_board_can_make():
-    """A current above the board's range, one byte for example, could wrap to another current."""
+    """A current that exceeds the board's range (for example one byte) could wrap around."""
     driver = Theirs()
     driver.most_ma = 0.2
     with board_of(driver) as board:

@@ -30,7 +30,7 @@ def ask(oracle, made, clock_ns, times=1, **other):
 
 
 def strong(ppb, **other):
-    """Return the weakest sequence without net charge whose strength equals its intensity."""
+    """Return the weakest sequence whose strength equals its intensity, with zero net charge."""
     current_ua = math.ceil(Fraction(ppb * FULL.full_ua, 4 * WHOLE))
     pulses = pair(current_ua) + pair(-current_ua)
     return sequence(pulses, width=200, intensity=intensity_of(ppb), **other)
@@ -67,7 +67,7 @@ def driven(oracle, count, made, step_ns, start_ns=START):
 
 
 def twin(first, count):
-    """Return slots of alternating signs, without net charge."""
+    """Return slots without net charge: the second half reverses the current of the first."""
     return pair(first, count // 2) + pair(-first, count // 2)
 
 
@@ -78,7 +78,7 @@ def test_claimed_time_rises():
 
 
 def test_the_first_is_silent():
-    # 1 pC is 500 ppb of a full pulse. This allows a strength of 2000 ppb, so intensity decides.
+    # 1 pC is 500 ppb of a full pulse, so the strength is the intensity, but at most 2000 ppb.
     strongest = Oracle(replace(FULL, full_ua=Fraction(10_000)))
     for ppb, broken in ((1_001, ["ramp"]), (1_000, [])):
         first = sequence(pair(1), width=1, intensity=intensity_of(ppb))
@@ -133,7 +133,7 @@ def test_a_clock_that_falls_gives_no_time_and_what_is_refused_changes_nothing():
 
 
 @pytest.mark.parametrize(("made", "count", "step_ns", "one", "wait_ns", "rule"), [
-    # A pass counts until its end is a second ago. Its 30 slots take 4.5 ms.
+    # A pass counts until one second after its end. Its 30 slots take 4.5 ms.
     (sequence(twin(600, 30)), 50, 20_000_000, sequence(pair(600)), 4_500_000, "strong"),
     # A pass carries 9.6 µC, so 52 passes stay below the limit of 500 µC.
     (sequence(twin(2000, 24), width=200), 52, 1_000_000, sequence(twin(2000, 4), width=200), NS,
@@ -141,7 +141,7 @@ def test_a_clock_that_falls_gives_no_time_and_what_is_refused_changes_nothing():
     # A pass has a net charge of 0.8 µC, so 62 passes stay below the limit of 50 µC.
     (sequence(pair(2000, 2), width=200, period=10_000), 62, 10_000_000,
      sequence(pair(2000, 2), width=200, period=10_000), NS // 2, "net"),
-    # At 100 Hz, 110 passes begin within 1 s and the allowed delay of 0.1 s. One more is allowed.
+    # In 1.1 s (1 s plus the allowed delay of 0.1 s), 110 passes begin at 100 Hz. 111 are allowed.
     (sequence([], period=10_000), 111, 100_000, sequence([], period=10_000), NS, "sequences"),
 ])  # fmt: skip
 def test_limits_of_any_second(made, count, step_ns, one, wait_ns, rule):
@@ -204,11 +204,11 @@ def test_bounds_of_profiles():
     assert mouse.electrode_ua == (5000,) * 64
     assert (mouse.pulse_us, mouse.ramp_ns, mouse.late_rise) == (200, NS // 2, 200_000_000)
     assert (mouse.rounding_ua, mouse.session_us) == (33, 3600 * 10**6)
-    # Half of the threshold of 1.2 mA, slightly above 600 µA in single precision, is rounded up.
+    # In single precision, half the threshold of 1.2 mA is just above 600 µA. It is rounded up.
     assert mouse.strong_ua == (601,) * 64
     assert mouse.recharge_ua == (120,) * 64
     assert 2400 < mouse.full_ua < Fraction(24_001, 10)
-    # The density limits the charge: 100 µC/cm² on a disc of 0.5 mm, 0.196 mm², are 0.196 µC.
+    # A disc of 0.5 mm diameter has 0.196 mm². At 100 µC/cm², its charge may be 0.196 µC.
     assert Bounds.of(display("small discs")).charge_pc == math.floor(math.pi / 16 * 10**6)
     ring = math.floor(math.pi / 4 * (1 - 0.85**2) * 10**6)
     assert Bounds.of(display("rings")).charge_pc == ring

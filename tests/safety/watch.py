@@ -56,10 +56,8 @@ class Watch:
         return bounds
 
     def bounds_of_size(self, electrodes):
-        """Return the bounds of a display with this number of electrodes.
-
-        This test's last display has priority over shipped profiles. If none fits, return None.
-        """
+        """Return the bounds of the display with this number of electrodes that the test used last;
+        otherwise those of a shipped profile of this size, or None."""
         if electrodes in self._seen:
             return self._seen[electrodes]
         for name in list_profiles():
