@@ -120,7 +120,7 @@ class BoardWithHost:
             self._pending += self.firmware.feed(data, self.clock.now_ns())
 
     def end(self, since_ns):
-        """Kill the host; return what the board has delivered since a time of its clock."""
+        """Kill the host; return what the board has delivered since ``since_ns`` (board's clock)."""
         self.signal(signal.SIGKILL)
         left, deadline = 1, time.monotonic() + LEAVES_WITHIN_S
         while left and time.monotonic() < deadline:

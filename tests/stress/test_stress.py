@@ -32,13 +32,13 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 ROUNDS = 2
 KITS = ("etactilekit 71adee2", "etactilekit newest")
 WIRE_MS = {"kajimoto61": 13.0, "etactilekit newest": 8.0}
-"""Largest time for which a board may finish a scan after a stop; 0 for other boards."""
+"""Longest time that these boards may take after a stop to finish a scan; others stop at once."""
 LONGEST_START_S = 3.0
 """Largest random time from the start of a run to its signal."""
 LONGEST_END_S = 30.0
 WITHIN_MS, WATCHED_MS = 100, 600
 STEP_MS = 10
-"""Largest advance of an emulated board's clock while its process is delayed."""
+"""Limit for the advance of an emulated board's clock while its process is delayed."""
 
 
 def ended(cases, runs, folder):
