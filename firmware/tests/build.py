@@ -58,8 +58,8 @@ def hash_of_sources():
 
 
 def changed(folder, file, old, new, *options):
-    """Replace ``old`` by ``new`` in a copy of the sources, and build it by ``cc``. ``options`` may
-    contain further sources. Skip the test without the sources or ``cc``."""
+    """Replace ``old`` by ``new`` in a copy of the sources, and build the copy with ``cc``.
+    ``options`` may contain further sources. Skip the test if sources or ``cc`` are missing."""
     if not SOURCES.is_dir() or shutil.which("cc") is None:
         pytest.skip("needs the folder firmware and cc")
     copy = shutil.copytree(SOURCES, folder / "firmware")
@@ -141,10 +141,9 @@ class Machine:
 
 
 class CortexM3(Machine):
-    """Cortex-M3. If ``stands_after`` is given, the processor hangs in the pulse of this number, and
-    a watchdog timer resets it. With ``counts``, its clock counts instructions of 8 ns. A busy
-    computer then delays no slot, but the port is slower.
-    """
+    """Cortex-M3. If ``stands_after`` is N, the processor hangs in pulse N, and a watchdog timer
+    resets it. With ``counts``, its clock counts instructions of 8 ns. A busy computer then delays
+    no slot, but the port is slower."""
 
     def __init__(
         self, folder, electrodes=ELECTRODES, output="weighted", ramp_ms=500, stands_after=0,

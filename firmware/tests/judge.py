@@ -1,7 +1,7 @@
 """Model of what a ``link`` board must refuse, written only from ``firmware/PROTOCOL.md``.
 
-The model stores every pass. Buckets of time decide only how long a pass counts. The C core and
-the Python emulator store sums instead.
+The model stores each pass, and uses 50 ms buckets only to decide how long a pass counts. The C core
+and the Python emulator do not store passes, but sums for each bucket.
 """
 
 import struct
@@ -56,7 +56,7 @@ class Limits:
         return head + b"".join(struct.pack(f"<{len(of)}{kind}", *of) for kind, of in each)
 
     def capped(self, switched=False):
-        """Return the limits that apply: the board's own limits replace these where stricter."""
+        """Return the limits that apply: the stricter of each limit and the board's own limit."""
         return Limits(
             max(5000, self.period_us), min(5000 if switched else 10_000, self.total_ua),
             min(200, self.width_us), min(5000, self.full_ua),
@@ -70,7 +70,8 @@ class Limits:
 
 @dataclass
 class Scan:
-    """Sequence. Slots have width, discharge and currents; for one source, states of electrodes."""
+    """Sequence. Each slot has a width, a discharge time and the currents of the electrodes. With a
+    single source, a slot has states of the electrodes instead of currents."""
 
     period_us: int
     slots: list
@@ -102,7 +103,8 @@ class Scan:
         return b"".join(parts)
 
     def nominal(self):
-        """Return the currents of slots, (S, E) µA. One source is divided equally, rounded up."""
+        """Return the currents of slots, (S, E) µA. With a single source, electrodes of the same
+        polarity share its current equally, and each share is rounded up."""
         if not self.slots:
             return np.zeros((0, 1), np.int64)
         rows = np.array([each for _, _, each in self.slots], np.int64)
@@ -224,7 +226,7 @@ class Judge:
         """Accept a scan, which begins now or when the executing one is over."""
         start_us = self.start_us(now_us, scan)
         if scan.goes_on:
-            # The part before ends here. The scan lasts until the end of its period.
+            # The previous part ends when this part begins, but the scan lasts for its whole period.
             self.scan_end_us = self.passes[-1].end_us
             if self.scan_end_us > now_us:
                 self.passes[-1] = replace(self.passes[-1], end_us=start_us)
@@ -374,7 +376,7 @@ class Judge:
         return [np.array([getattr(each, name) for each in kept]).reshape(shape) for name in columns]
 
     def _net(self, before, own):
-        """Return the largest net charge of consecutive passes up to the last, (E,) pC."""
+        """Return the largest net charge, (E,) pC, that the last 1, 2, 3, … passes add up to."""
         passes = np.concatenate([before, own])
         return np.abs(passes[::-1].cumsum(axis=0)).max(axis=0)
 

@@ -145,7 +145,7 @@ class Life:
         return scan
 
     def _recharge(self, scan):
-        """Add a recharge phase of 0.5, 1 or 2.1 times the net charge, or with the wrong sign."""
+        """Add a recharge phase that removes 0.5, 1 or 2.1 times the net charge, or doubles it."""
         carried = self.judge.net_pc + self.judge._pass(scan, 0).net_pc
         scan.recharge_us = int(self.rng.integers(1, scan.period_us))
         back = -int(carried[0]) / scan.recharge_us * float(self.rng.choice([0.5, 1, 2.1, -1]))
@@ -251,7 +251,7 @@ def felt(life):
 
 
 def charge(life):
-    """Send more charge than allowed in a second, in periods that each keep their limits."""
+    """Exceed the charge limit over a second with scans that keep the limits over a period."""
     life.begin(Limits(felt_ua=(5000,) * ELECTRODES))
     pair = [(200, 40, (2500, -2500, 0, 0)), (200, 40, (-2500, 2500, 0, 0))]
     for _ in range(40):
@@ -277,7 +277,7 @@ def session(life):
 
 
 def rise(life):
-    """Raise intensity with no, weak and strong current: the level rises only with current."""
+    """Raise intensity without, with weak and with strong current. Only current raises the level."""
     life.begin(Limits())
     silent, weak, enough = ({"of": part} for part in (None, 0.01, 1))
     for current, times, wait_us, claims in (
@@ -291,7 +291,7 @@ def rise(life):
             for intensity in (min(FULL, top + 1), top):
                 life.send(Scan(20_000, _counting(intensity, **current), times, intensity))
             life.wait(wait_us)
-        # A scan without slots at intensity 0 does not lower the level.
+        # A scan that has no slots and intensity 0 does not lower the level.
         life.send(Scan(20_000, [], 1, 0))
         life.wait(20_000)
     # Weak pulses that state a high intensity, followed by strong pulses.
@@ -307,7 +307,7 @@ def rise(life):
 
 
 def _counting(intensity, of):
-    """Return a slot with ``of`` times the least current for an intensity; if None, no slot."""
+    """Return a slot with ``of`` times the current that an intensity needs; if None, no slot."""
     if of is None:
         return []
     level = min(1250, int(of * -(-1250 * intensity // FULL)))
@@ -364,7 +364,7 @@ def limits(life):
 
 
 def parts(life):
-    """Send scans in parts: with the last part, the whole scan breaks a rule, or barely keeps it."""
+    """Send scans in parts. With its last part, a scan breaks a rule or barely keeps it."""
     pair = [(20, 20, (30, -30, 0, 0)), (20, 20, (-30, 30, 0, 0))]
     loud = [(200, 40, (2500, -2500, 0, 0)), (200, 40, (-2500, 2500, 0, 0))]
     weak = [(200, 40, (25, -25, 0, 0))]
@@ -406,7 +406,7 @@ def parts(life):
 
 
 def rising_parts(life):
-    """Raise the level by scans in two parts, with the strongest pulse in the first or the last."""
+    """Raise the level by scans in two parts. Strong pulses are in either, neither or both parts."""
     weak, strong = ([(200, 40, (ua, -ua, 0, 0))] for ua in (30, 1000))
     life.begin(Limits())
     for first, last in ((weak, strong), (strong, weak), (weak, weak), (strong, strong)):

@@ -33,7 +33,7 @@ WEAR = ctypes.CFUNCTYPE(
 
 
 class Core:
-    """One board of the C core in this process, which collects sent bytes and begun pulses."""
+    """Board that runs the C core in this process, and collects sent bytes and begun pulses."""
 
     out = np.zeros(ROOM, np.uint8)
     columns = tuple(np.zeros(ROOM // 4, np.uint32) for _ in range(4))
@@ -62,10 +62,9 @@ class Core:
         self._core.st_rig_free(self._rig)
 
     def wear(self, skin):
-        """Attach a skin: a function of a pulse's width, rest, source current, start and currents.
-
-        The function returns the source voltage, 10 mV, and the largest charge left, pC.
-        """
+        """Attach a skin: a function of a pulse's width, discharge time, source current, start and
+        currents. It returns the source voltage in units of 10 mV, and the largest charge, pC, that
+        has remained on an electrode so far."""
 
         def pulse(times, start_us, current_ua, found):
             found[0], found[1] = skin(*times[:3], start_us, current_ua[: self.electrodes])
@@ -146,7 +145,7 @@ def in_10_mv(volts):
 
 
 class PulseBooks(DeliveryLog):
-    """Delivery log that stores pulses as `Core` reports them. Unless ``worn``, charge left is 0."""
+    """Delivery log with pulses as `Core` reports them. If not ``worn``, remaining charge is 0."""
 
     worn = False
 
@@ -159,7 +158,7 @@ class PulseBooks(DeliveryLog):
 
 
 class Emulated:
-    """The Python emulator; it counts sessions from 1 where a board draws random numbers."""
+    """The Python emulator. It numbers sessions from 1, whereas a board draws random numbers."""
 
     def __init__(self, electrodes, output="weighted", ramp_ms=500, worn=False, **given):
         self.log = PulseBooks(electrodes)
@@ -196,9 +195,9 @@ class Emulated:
 class Both:
     """Boards that get the same bytes, and must answer and deliver the same.
 
-    Without ``felt``, currents of pulses may differ. The emulator reports a recharge phase at its
-    end, the core at its start. So `recharges` lists phases by board: number, start and currents.
-    """
+    If ``felt`` is false, pulse currents may differ. The emulator reports a recharge phase when the
+    phase ends, the core when it begins. So `recharges` lists these phases for each board, with
+    numbers, starts and currents, and `Both` does not compare them."""
 
     def __init__(self, *boards, felt=True):
         self.boards, self._reported = boards, None if felt else 5

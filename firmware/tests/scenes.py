@@ -28,7 +28,7 @@ def random_lists(rng, table, slots, most=3, loud=4000):
 
 
 def sequence_of(lists, **other):
-    """Return the scan sequence of kernel lists."""
+    """Return a scan sequence with the currents that kernel lists describe."""
     column = np.ones(len(lists.first) - 1, np.uint16)
     fields = {
         "current_ua": lists.current_ua, "width_us": 100 * column, "discharge_us": 50 * column,

@@ -53,10 +53,10 @@ def test_answers_and_pulses_are_the_emulators(make_core, output, seed):
 
 @pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
 def test_voltages_and_charge_are_the_emulators(make_core, output):
-    """With the same skin model, core and emulator report equal voltages and equal charge left."""
+    """With equal skin models, core and emulator report equal voltages and remaining charges."""
     core = make_core(6, output, 0).wear(Worn(6, output != "weighted"))
     boards = Emulated(6, output, 0, worn=True), core
-    # Pulse currents of switched boards differ: the core reports equal shares of the source.
+    # On switched boards the core reports equal shares of the source current; the emulator does not.
     both = Both(*boards, felt=output == "weighted")
     scene = Scene(both, 3, output=output, worn=True)
     scene.play(60)

@@ -74,21 +74,21 @@ def test_each_rule_at_its_edge(make_life, play):
 
 RULES, LAST, LEVEL = "st_rules.c", "st_exposure.c", "st_limits.c"
 MUTANTS = {
-    "the sign of a recharge": (
+    "sign of a recharge phase": (
         recharge, RULES, "if (!recharge_takes_back(", "if (0 && !recharge_takes_back("
     ),
-    "the short after a recharge": (
+    "discharge after a recharge phase": (
         recharge, RULES, "recharge_us + ST_MIN_DISCHARGE_US", "recharge_us"
     ),
-    "the duty of a recharge": (
+    "duty of a recharge phase": (
         recharge, RULES, "flowed_us + sequence->recharge_us", "flowed_us"
     ),
-    "felt pulses of a period": (
+    "felt pulses in a period": (
         felt, RULES, "(uint64_t)felt > allowed", "(uint64_t)felt > 2u * allowed"
     ),
-    "felt pulses of a second": (felt, LAST, "{ ST_MAX_FELT_HZ,", "{ 2u * ST_MAX_FELT_HZ,"),
-    "charge of a second": (charge, LAST, " ST_MAX_SECOND_PC,", " 2u * ST_MAX_SECOND_PC,"),
-    "net charge of a second": (net, LAST, " ST_MAX_NET_PC }", " 2u * ST_MAX_NET_PC }"),
+    "felt pulses in a second": (felt, LAST, "{ ST_MAX_FELT_HZ,", "{ 2u * ST_MAX_FELT_HZ,"),
+    "charge in a second": (charge, LAST, " ST_MAX_SECOND_PC,", " 2u * ST_MAX_SECOND_PC,"),
+    "net charge in a second": (net, LAST, " ST_MAX_NET_PC }", " 2u * ST_MAX_NET_PC }"),
     "net charge of the last passes": (
         net, LAST, "after_pc + each->most_pc[at]", "after_pc + each->sum_pc[at]"
     ),
@@ -100,40 +100,40 @@ MUTANTS = {
     "charge of the session": (
         session, LAST, "session_pc += load->charge_pc", "session_pc += 0u"
     ),
-    "a level by current alone": (rise, LEVEL, "if (sequence->strength > 0u)", "if (true)"),
-    "the strength of a level": (
+    "only current raises the level": (rise, LEVEL, "if (sequence->strength > 0u)", "if (true)"),
+    "strength limits the level": (
         rise, LEVEL, "st_least(ramp->strength, ramp->level + rises)", "ramp->level + rises"
     ),
-    "the strength of a pulse": (
+    "charge limits the strength": (
         rise, LEVEL, "st_least(intensity, ST_STRENGTH * share)", "intensity"
     ),
-    "the end of a level": (
+    "time without current ends a level": (
         rise, LEVEL, "passed_us - *flowing_us > ST_LEVEL_KEPT_US", "false"
     ),
-    "the cap of the full current": (
+    "limit of the full current": (
         limits, LEVEL, "st_least(st_u16(payload + 10), ST_MAX_CURRENT_UA)", "st_u16(payload + 10)"
     ),
-    "the cap of rounding": (
+    "limit of the rounding error": (
         limits, LEVEL, "(electrodes + 1u) / 2u + 1u", "5000u"
     ),
-    "the safe ramp": (
+    "safe ramp if the host states none": (
         limits, LEVEL, "given_ms == 0u ? ST_SAFE_RAMP_MS : given_ms", "given_ms"
     ),
-    "the time of the parts before": (
+    "duration of earlier parts": (
         parts, RULES, "scan->busy_us += sequence->busy_us", "scan->busy_us = 0"
     ),
-    "the current of the parts before": (
+    "time with current in earlier parts": (
         parts, RULES, "scan->flowing_us += sequence->flowing_us", "scan->flowing_us = 0"
     ),
-    "the charge of the parts before": (
+    "charge of earlier parts": (
         parts, RULES, "st_goes_on(sequence) ? board->config.each[each].scan_pc", "false ? 0u"
     ),
-    "the pulses of the parts before": (
+    "felt pulses of earlier parts": (
         parts, RULES, "st_goes_on(sequence) ? board->config.each[each].scan_felt", "false ? 0u"
     ),
-    "the strongest part": (rising_parts, RULES, "board->scan.peak_pc > most.peak_pc", "false"),
-    "a part of another scan": (parts, RULES, "(!board->scan.open ||", "(false ||"),
-    "one source": (
+    "strongest earlier part": (rising_parts, RULES, "board->scan.peak_pc > most.peak_pc", "false"),
+    "part of another scan": (parts, RULES, "(!board->scan.open ||", "(false ||"),
+    "whole current of one source": (
         one_source, RULES, "? total_ua : st_magnitude(", "? share[0] : st_magnitude("
     ),
 }  # fmt: skip
@@ -153,7 +153,7 @@ def test_a_core_without_one_rule_is_found_out(make_life, tmp_path, name):
 
 
 def test_the_switch_ends_what_flows(make_life):
-    """No pulse begins once the emergency switch is open, nor when it closes again."""
+    """No pulse begins after the emergency switch opens, not even when it closes again."""
     life = make_life(library(), both=True).begin(Limits())
     talk, scan = life.talk, Scan(20_000, [(100, 40, (3, -3, 0, 0))] * 20, 50, 0)
     reasons = []

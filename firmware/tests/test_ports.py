@@ -1,5 +1,5 @@
-"""The core on any port: slow functions, interrupts, missing fields; its size and stack on a small
-processor, and the required rules of MISRA that it keeps.
+"""Tests of the core with ports that are slow, interrupt it, or lack fields. Other tests check size
+and stack of the core on a small processor, and the required rules of MISRA.
 
 ``pytest -n0 -s firmware/tests/test_ports.py`` prints size and stack.
 """
@@ -68,16 +68,16 @@ def test_a_field_that_is_left_out_is_safe_or_named():
 
 ENGINE, SETUP = "st_engine.c", "st_setup.c"
 MUTANTS = {
-    "when a pulse truly began": (
+    "begin of a pulse from the port": (
         "times", ENGINE, "begun_us = board->port.", "begun_us = before_us + 0 * board->port."
     ),
-    "the rest of another session": ("times", ENGINE, "|| before_us < board->free_us", ""),
+    "discharge after a previous session": ("times", ENGINE, "|| before_us < board->free_us", ""),
     "zero before a pulse": (
         "times", ENGINE, "    return __atomic_load_n", "    return true || __atomic_load_n"
     ),
     "zero in a pulse": ("times", ENGINE, "    if (reason != NULL) {", "    if (0) {"),
-    "a clock that stands": ("init", SETUP, "if (steps < CLOCK_STEPS)", "if (steps > CLOCK_STEPS)"),
-    "a port without a short": ("init", SETUP, "|| port->pulse == NULL", ""),
+    "clock stands still": ("init", SETUP, "if (steps < CLOCK_STEPS)", "if (steps > CLOCK_STEPS)"),
+    "port without `pulse`": ("init", SETUP, "|| port->pulse == NULL", ""),
 }  # fmt: skip
 
 
@@ -110,7 +110,7 @@ def test_rests_on_a_cortex_m3(shift):
     # Only rule 27 refuses slots. It needs a previous slot, so it never refuses the first one.
     assert [each for each in refused if int(each[3]) != 27 or not 0 < int(each[4]) < 32] == []
     assert len(rests) >= (15 if shift < 4 else 5)
-    # Each of the 32 slots may take 150 µs more than requested, and the start of the pass 6 ms.
+    # Each of the 32 slots may take 150 µs more than requested. The pass may begin 6 ms late.
     assert [each for each in rests if each[5] > 32 * (250 + each[2]) + 6000] == []
 
 

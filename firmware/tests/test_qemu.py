@@ -101,8 +101,7 @@ class ShiftRegisters:
     at ground; POL low inverts them. The D/A converter reads two zeros, 12 bits of counts and two
     unused bits, at falling clock edges (phase 1).
 
-    `write` takes each write to a register of the processor. `wrong` lists forbidden states, one
-    sentence each.
+    `write` takes each write to a register of the processor. `wrong` describes forbidden states.
     """
 
     chain_bits: int = 64
@@ -121,8 +120,8 @@ class ShiftRegisters:
     """Output bits, counts and width of each pulse."""
     wrong: list = field(default_factory=list)
     zeros: list = field(default_factory=list)
-    """For each time that all electrodes were shorted: the number of pulses before, and the time
-    since the last packet by the board's clock, µs."""
+    """For each shorting of all electrodes: number of pulses before it, and time, µs, since the last
+    packet, as the board measures it."""
 
     def _pin(self, pin, level):
         if self.levels.get(pin) == level:
@@ -201,7 +200,8 @@ class F405(Machine):
         )  # fmt: skip
 
     def until_zero(self, least_us=0):
-        """Wait for a zero that is at least ``least_us`` after the last packet; return the model."""
+        """Wait until all electrodes are shorted and the last packet is ``least_us`` old. Return the
+        model of the registers."""
         for _ in range(600):
             model = self.registers()
             pulses, silent_us = model.zeros[-1] if model.zeros else (0, 0)
@@ -300,7 +300,7 @@ def test_what_is_sent_is_what_registers_and_converter_get(start, kit):
 
 
 def test_a_stop_ends_in_zero(start):
-    """All electrodes are shorted within 1 ms after the last packet (board's clock)."""
+    """All electrodes are shorted within 1 ms after the last packet, by the board's clock."""
     machine, slots = start("st_kajimoto61"), 20
     limits = SafetyLimits(61, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
     row = np.full((slots, 61), -5)
@@ -325,7 +325,7 @@ def test_a_stop_ends_in_zero(start):
 
 
 def test_a_killed_run_ends_in_zero(start, tmp_path):
-    """All electrodes are shorted at the host timeout after the last packet (board's clock)."""
+    """All electrodes are shorted one host timeout after the last packet, by the board's clock."""
     machine = start("st_kajimoto61")
     command = [PROGRAM, "live", "--board", f"link:{machine.name}", "--profile",
                "kajimoto-61", "--force", "fixed:0.9", "--intensity", "0.3"]  # fmt: skip
