@@ -17,7 +17,7 @@ from smarttouch.pages.ink import separate_ink
 
 ROUNDS = 10
 NOISE = 40
-"""Number of sheets of noise without ink."""
+"""Number of test images that contain noise but no ink."""
 
 
 def closed(grey):

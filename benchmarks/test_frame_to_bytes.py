@@ -45,7 +45,7 @@ def balanced_weights(side):
 
 
 def letter(height, width, right=0.0, down=0.0):
-    """Return an image of a letter; ``right`` and ``down`` shift it by pixels of 640 x 480."""
+    """Draw a letter in 640 x 480 pixels, shift it by ``right`` and ``down``, scale the image."""
     image = np.full((480, 640), 225, np.uint8)
     cv2.putText(image, "R", (130, 430), cv2.FONT_HERSHEY_SIMPLEX, 17, 35, 60)
     moved = np.array([[1, 0, right], [0, 1, down]], np.float32)
@@ -134,9 +134,9 @@ def test_default_path(row, make_bank, quick, side, shape, frames):
             "SmartTouch by itself: p50": f"{np.median(alone):,.0f}",
             "p99": f"{np.quantile(alone, 0.99):,.0f}",
             "minimum": f"{min(alone):,.0f}",
-            "in turn, medians: SmartTouch": f"{each[0]:,.0f}",
-            "minimal chain": f"{each[1]:,.0f}",
-            "ratio": f"{each[0] / each[1]:.1f}",
+            "SmartTouch, taking turns: p50": f"{each[0]:,.0f}",
+            "minimal chain, taking turns: p50": f"{each[1]:,.0f}",
+            "ratio of the two": f"{each[0] / each[1]:.1f}",
         },
     )
 

@@ -55,7 +55,7 @@ def page_file(folder, name, text):
 
 
 def array_of(rows):
-    """Return a profile with this number of rows; 4 columns are enough because lines move past."""
+    """Return a profile with ``rows`` rows. 4 columns are enough, because text moves past them."""
     table = load_profile("electric-mouse").model_dump()
     table["array"] |= {"rows": rows, "columns": 8 if rows == 8 else 4}
     return profile_for_reading(Profile.model_validate(table))

@@ -98,7 +98,7 @@ def test_a_run_by_what_follows_it(row, quick, tmp_path, rate_hz, way):
     found, share, kilobytes = ran(tmp_path, seconds, *WAYS[way], rate_hz=rate_hz)
     work = found["work_us"]
     row(
-        "Cost of a run to `emulator:` with `--scan auto`, by its output",
+        "Cost of a run to `emulator:` with `--scan auto`, for each kind of output",
         {
             "requested rate, Hz": rate_hz,
             "output": way,
@@ -157,7 +157,7 @@ def test_a_slow_computer(row, quick, tmp_path, way):
     finally:
         os.sched_setaffinity(0, before)
     row(
-        "A fifth of one core for program and emulator, 50 sequences per second requested",
+        "Program and emulator on one core with four busy processes, 50 sequences/s requested",
         {
             "output": way,
             "sequences per second": f"{found['rate_hz']:.1f}",

@@ -1,8 +1,8 @@
-"""Latency of patterns in a session, until the first pulse on the emulated board.
+"""Latency of patterns in a session: the time until their first pulse on the emulated board.
 
-One test shows patterns of half a second, and measures from the call. The other test receives UDP
-packets from another process, passes their patterns to `Session.put`, and measures from the arrival
-of a packet. The board's clock tells when a pulse begins.
+One test shows each pattern for half a second, and measures from the call of `show_async`. The other
+test receives UDP packets from another process, passes their patterns to `Session.put`, and measures
+from the arrival of a packet. The board's clock tells when a pulse begins.
 """
 
 import asyncio

@@ -12,7 +12,7 @@ from smarttouch.running.runner import Runner
 
 
 def test_stop(profile, quick, row):
-    """The median time from the page's stop message to the emulated board at zero is below 0.1 s."""
+    """The median time from the page's stop message until the board is at zero is below 0.1 s."""
     from websockets.sync.client import connect
 
     from smarttouch.views.window import Window
