@@ -17,7 +17,8 @@ from smarttouch.lab import ANODIC, CATHODIC
 
 # %%
 # Print the predicted threshold divided by the threshold of the cable model, for each depth in mm.
-# Below 1, a fiber is harder to fire than predicted. Only flat fibers are within 0.8 to 1.2.
+# If this ratio is below 1, the fiber is harder to fire than predicted. Only the ratios of flat
+# fibers are within 0.8 to 1.2.
 table = af_error_table(st.load_profile("electric-mouse"))
 for fiber, polarity, *ratios in ratio_rows(table):
     print(f"{fiber:24}{polarity:10}" + "".join(f"{each:>7}" for each in ratios))

@@ -31,8 +31,9 @@ with TemporaryDirectory() as folder, parallel_config("threading", n_jobs=1):
 print(rows[0])
 
 # %%
-# Print medians over fingers: the shares of misread letters, of points where no afferent fires, of
-# spikes of other classes, and of spikes more than a pitch away from all electrodes of the letter.
+# Print four shares, as medians over fingers: misread letters, points without a spike of the target
+# class nearby, spikes of other classes, and spikes more than a pitch away from every electrode of
+# the letter. The last column is the mean total current of a slot.
 heading, lines = study_table(study_sums(rows))
 for line in [heading, *lines]:
     print("".join(cell.ljust(22 if column == 1 else 18) for column, cell in enumerate(line)))

@@ -35,7 +35,7 @@ class Sliding(st.OpticalSource):
 
 
 class ListDriver(st.Driver):
-    """Driver that stores each sequence that was proved safe in a list."""
+    """Driver that stores, in a list, each sequence that was proved safe."""
 
     def open(self, line, limits):
         self.line, self.sequences = line, []

@@ -32,7 +32,7 @@ def gaps(setup):
     yield from ask(setup.constant([(0, gap_mm) for gap_mm in (2, 6, 10)]), trial)
 
 
-experiment = Experiment("which had a gap: width, mm", gaps)
+experiment = Experiment("which of two bars had a gap? (result: width of the gap, mm)", gaps)
 
 # %%
 # Run the experiment with a simulated subject who guesses. With a person, use the same command with

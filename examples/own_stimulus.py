@@ -62,7 +62,7 @@ profile = profile_for_reading(st.load_profile("electric-mouse"))
 with st.open_display("simulated:", profile) as display:
     trail = Trail(display)
     statistics: st.RunStatistics = st.run(Circle(profile), display, mode="RA", listeners=[trail])
-print(f"{statistics.frames} stimuli, {statistics.slots} slots, at most {max(trail.slots)} each")
+print(f"{statistics.frames} stimuli of up to {max(trail.slots)} slots, {statistics.slots} in total")
 
 # %%
 # Draw the number of pulses of each electrode.

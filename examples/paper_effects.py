@@ -21,7 +21,8 @@ fingers = [st.Finger(profile, seed, "paper") for seed in range(1, 9)]
 
 # %%
 # SAI mode on line electrodes, with rising current: first pressure, then vibration, as in Section
-# III-B.1. (The paper reports 0.4, 0.6 and 1.0 mA; simulated fingers need about 15 times as much.)
+# III-B.1. The paper reports pressure at 0.4 mA and vibration at 0.6 mA. Simulated fingers need
+# about 15 times as much.
 _, order = plt.subplots(figsize=(5, 4.5), layout="constrained")
 stages = finger_effects.stages("paper", range(1, 8))
 least_ma = min(current_ma[0] for current_ma in stages.values())
@@ -75,7 +76,8 @@ plt.show()
 print(f"PC receptors lie on average {-found.y_mm:.1f} mm toward the fingertip")
 
 # %%
-# Draw the afferents that the concentric electrode of Section III-C fires: an anodic disc in a ring.
+# Draw the afferents that fire under the concentric electrode of Section III-C, which is an anodic
+# disc in a ring.
 _, ring = plt.subplots(figsize=(5, 4.5), layout="constrained")
 electrode = st.load_profile("concentric")
 finger = st.Finger(electrode, 4, "paper")

@@ -43,8 +43,9 @@ axes.set(xlabel="position along the axon (mm)", title="Fig. 5",
 plt.show()
 
 # %%
-# The optimal weights of the three modes (Fig. 8), by the paper's linear program, which does not
-# limit spill. The paper does not print the off-target values that are in the titles.
+# The optimal weights of the three modes (Fig. 8), by the paper's linear program. It does not limit
+# spill, the activation of the same class farther away. The titles show our off-target values; the
+# paper does not print any.
 figure, panels = plt.subplots(1, 3, figsize=(7.5, 2.6), sharey=True, layout="constrained")
 for axes, afferent in zip(panels, ("SAI", "PC", "RA"), strict=True):
     kernel = st.design_kernel(line, afferent, center, model="paper")
@@ -111,15 +112,16 @@ for (left, right), (title, weights) in zip(panels, patterns.items(), strict=True
         right.axhline(depth, color=CLASS_COLORS[afferent], lw=0.8)
         right.text(1.29, depth + 0.03, afferent.name, fontsize=7, ha="right", va="top")
     right.set(xlim=(0, 1.3), ylim=(3.0, 0.8), title="below the middle", ylabel="depth (mm)",
-              xlabel="AF, relative to the depth of SAI")  # fmt: skip
+              xlabel="AF / AF at the depth of SAI")  # fmt: skip
     right.legend(frameon=False, fontsize=7, loc="lower right")
 add_scale(figure, drawn, panels)
 plt.show()
 
 # %%
 # Selection by direction (Fig. 10): a cathode depolarizes horizontal axons, an anode vertical axons.
-# Under a line electrode, vertical and horizontal axons have opposite, equal AFs. Right under a disc
-# the AF of vertical axons is twice as large, because the AFs along x, y and z add up to zero.
+# Under a line electrode, the AFs of vertical and horizontal axons have equal size and opposite
+# signs. Right under a disc, the AF of vertical axons is twice as large as that of horizontal axons,
+# because the AFs along x, y and z add up to zero.
 figure, panels = plt.subplots(2, 2, figsize=(7.5, 5.2), layout="constrained")
 for row, (weights, name) in zip(
     panels, ((alone, "(a) cathode"), (-alone, "(b) anode")), strict=True

@@ -42,7 +42,7 @@ def main(path: str, topic: str, board: str, intensity: str, force: str | None = 
             logged_s = record.log_time / 1e9
             gap_s = 0.0 if before_s is None else logged_s - before_s
             if not 0 <= gap_s <= LONGEST_GAP_S:
-                print(f"image {count}: shown at once, as the recorded time jumps by {gap_s:g} s")
+                print(f"image {count}: shown at once, because recorded time jumps by {gap_s:g} s")
                 gap_s = 0.0
             before_s, due_s = logged_s, max(due_s + gap_s, time.monotonic())
             time.sleep(max(0.0, due_s - time.monotonic()))

@@ -29,14 +29,16 @@ _BLOCKS = (np.inf, 4.0, 2.8, 2.0, 1.4)  # values of `DrivingFunction.block` to t
 _GOOD_ERROR = 0.03
 """Error below which no further values of `_BLOCKS` are tried."""
 _WORTHWHILE = 0.8
-"""Factor by which a value of `_BLOCKS` must reduce the error to replace the best value so far."""
+"""A value of `_BLOCKS` replaces the best value so far only if its error is less than this share of
+the smallest error so far."""
 _TOLERANCE = 0.05
 """Error up to which the soft L1 loss is nearly quadratic; for larger errors it is nearly linear."""
 _STIFFNESS = 0.1
-"""Threshold error that costs as much as a change of one weight by 100 %. This cost
-keeps weights that the cases do not determine near those of a linear membrane."""
+"""Threshold error that costs as much as a change of one weight by 100 %. Changes have a cost so
+that a weight which the cases do not determine stays near that of a linear membrane."""
 _LINEAR_BELOW = 0.1
-"""Below this drive at threshold (correct: 1), a line replaces the logarithm in the error."""
+"""At threshold, the drive should be 1, and the error is the logarithm of the drive. If the drive is
+below this value, a line replaces the logarithm."""
 _NODES = 60  # number of nodes of the linear cable
 
 
@@ -162,24 +164,16 @@ def _linear_start(fiber: Fiber, width_us: float, reach: int) -> Array:
 
 @dataclass(frozen=True)
 class ThresholdError:
-    """Relative errors of predicted thresholds: 0.05 means a factor of 1.05 too high or too low.
+    """Relative errors of predicted thresholds: 0.05 means a factor of 1.05 too high or too low."""
 
-    Attributes
-    ----------
-    cases : int
-        Number of cases with a finite threshold.
-    median, tenth, worst : float
-        Median, 90 % quantile and maximum of the errors.
-    """
-
-    cases: int
+    cases: int  # number of cases with a finite threshold
     median: float
-    tenth: float
-    worst: float
+    tenth: float  # 90 % quantile
+    worst: float  # maximum
 
 
 def threshold_error(drive: Array, threshold_ma: Array) -> ThresholdError:
-    """Return the errors of the thresholds that drives predict.
+    """Return the errors of thresholds that are predicted from drives.
 
     Parameters
     ----------

@@ -42,37 +42,27 @@ WIDTHS_US = (50.0, 100.0, 200.0, 500.0)
 _MOST_MA = 50.0
 """Threshold above which a fiber counts as never firing: ten times the largest legal current."""
 _FEWER = 3
-"""The MRG model computes only every third case, because each takes seconds."""
+"""The MRG model computes only every third case, because a case takes seconds."""
 _AT_ONCE = 10  # number of MRG cases whose thresholds are stored in one file
 
 
 @dataclass(frozen=True, eq=False)
 class FiberFit:
-    """Driving function of one fiber, ending and pulse width, with its errors.
-
-    Attributes
-    ----------
-    fiber : str
-    width_us : float, µs
-    driving : DrivingFunction
-    fitted : ThresholdError
-        Errors on the cases that were used in the fit.
-    held_out : dict of str to ThresholdError
-        Errors on the cases for testing. Keys are "all" and, per group and polarity, "RA +" etc.
-    activating : ThresholdError
-        Errors of the activating function on the cases for testing.
-    """
+    """Driving function of one fiber, ending and pulse width, with its errors."""
 
     fiber: str
     width_us: float
     driving: DrivingFunction
-    fitted: ThresholdError
+    fitted: ThresholdError  # errors on the cases that were used in the fit
+    # Errors on the cases for testing. The key "all" means all cases. The other keys state a group
+    # and a polarity, for example "RA +".
     held_out: dict[str, ThresholdError]
-    activating: ThresholdError
+    activating: ThresholdError  # errors of the activating function on the cases for testing
 
 
 def ends_of(fiber: str) -> tuple[End, ...]:
-    """Return the kinds of ending for which a fiber is fitted. Only "fingertip" can be "passive"."""
+    """Return the kinds of ending for which a fiber is fitted. Only the fiber "fingertip" is fitted
+    with a "passive" ending."""
     return ("through", "active", "passive") if fiber == "fingertip" else ("through", "active")
 
 
@@ -208,8 +198,9 @@ def weights_of(driving: DrivingFunction) -> dict[str, Any]:
 
 def error_rows(fits: Sequence[FiberFit]) -> list[list[str]]:
     """Return a heading, and a row of errors in per cent for each fit."""
-    heading = ["fiber", "ending", "µs", "cases", "median", "90 %", "worst", "worst group's 90 %",
-               "AF median", "AF 90 %", "AF worst"]  # fmt: skip
+    heading = ["fiber", "ending", "µs", "cases", "median", "90 % quantile", "worst",
+               "90 % quantile, worst group",
+               "AF median", "AF 90 % quantile", "AF worst"]  # fmt: skip
     rows = [heading]
     for each in fits:
         held, plain = each.held_out["all"], each.activating
@@ -241,7 +232,7 @@ def main() -> None:
     heading, *rows = error_rows(fits)
     print("Errors of predicted thresholds in %, on kernels that were not used in the fit")
     print_table(rows, heading, left=2)
-    print("AF: errors of the activating function, scaled to the cases of the fit.")
+    print("AF: errors of the activating function, whose scale is fitted to the cases of the fit.")
     if asked.json is not None:
         write_json(asked.json, as_json(fits))
 

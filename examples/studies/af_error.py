@@ -1,8 +1,8 @@
 """Error of thresholds that are predicted by the activating function (AF).
 
-If the AF were enough, all fibers would fire at the same AF. Here a flat fiber `REFERENCE_MM` below
-a cathode determines this AF. It predicts the thresholds of all fibers, depths and polarities, which
-are compared with the active cable model of `membrane`.
+If the AF were enough, all fibers would fire at the same AF. Here this AF is taken from a flat fiber
+`REFERENCE_MM` below a cathode. The AF then predicts the threshold of every fiber, depth and
+polarity. These thresholds are compared with those of the active cable model in `membrane`.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ class AfError:
     polarity: str
     depth_mm: float  # depth of a flat fiber, or of the ending of an upright fiber
     cable_ma: float  # threshold of the cable model; NaN if the fiber never fires
-    af_ma: float  # predicted threshold; infinite if the AF is positive nowhere
+    af_ma: float  # predicted threshold; infinite if the AF is not positive at any node
 
     @property
     def ratio(self) -> float:

@@ -1,9 +1,9 @@
 """Effects that the paper describes (Sections III-B and III-C), on simulated fingers.
 
 ``python examples/studies/finger_effects.py paper 10`` prints the effects for 10 fingers of an
-anatomy, as medians with the middle 90 %. Two effects depend on our assumptions. We doubled the
-threshold of PC to get the paper's order of sensations (III-B.1); otherwise PC would fire first. The
-shift of PC depends on the assumed length of its axons.
+anatomy, as the median and the range of the middle 90 % of fingers. Two effects depend on our
+assumptions. We doubled the threshold of PC to get the paper's order of sensations (III-B.1);
+otherwise PC would fire first. The shift of PC depends on the assumed length of its axons.
 """
 
 import sys
@@ -30,13 +30,13 @@ STAGES_MA = (0.2, 0.4, 0.6, 1.0)
 CLEAR_MA = 2.4
 """Current that was clearly felt on a disc of 1.0 mm (Section III-C)."""
 LOWERED = 20.0
-"""Divisor of all thresholds. Without it, `Finger` omits nodes that no legal current fires. The
-resulting currents are multiplied by `LOWERED`."""
+"""All thresholds are divided by this factor, because `Finger` omits nodes that no allowed current
+fires. The currents that result are multiplied by this factor."""
 
 
 @dataclass(frozen=True)
 class Shift:
-    """Displacement of the receptors of firing afferents from the electrode, mm."""
+    """Displacement, from the electrode, of the receptors whose afferents fire, mm."""
 
     # x_mm, y_mm: means over the afferents that fire; y is negative toward the fingertip
     x_mm: float
@@ -60,7 +60,8 @@ def kernel_ma(profile: Profile, bank: KernelBank, afferent: Afferent) -> Array:
 
 
 def against_all(profile: Profile, cathodic: bool) -> Array:
-    """Return a pattern for each electrode, (E, E): 1 mA, and its return through all others."""
+    """Return a pattern for each electrode, (E, E) mA: the electrode carries 1 mA, which flows back
+    through all other electrodes."""
     count = len(profile.electrodes)
     pattern = np.full((count, count), -1 / (count - 1))
     np.fill_diagonal(pattern, 1.0)
@@ -68,10 +69,10 @@ def against_all(profile: Profile, cathodic: bool) -> Array:
 
 
 def stages(anatomy: str | Anatomy, seeds: Sequence[int]) -> dict[Afferent, Array]:
-    """Return, for each class, the SAI-mode currents at which 1 to 10 afferents fire, (10,) mA.
+    """Return, for each class, the SAI-mode currents at which 1, 2, ... 10 afferents fire, (10,) mA.
 
-    Each value is the median over fingers. A missing afferent counts as an infinite current. The
-    array is the paper's eight lines. Axons run across the lines, as in Fig. 7.
+    Each value is the median over fingers. If a finger has too few afferents that can fire, its
+    current is infinite. The array is the paper's eight lines, and axons run across them (Fig. 7).
     """
     profile = load_profile("line-8")
     base = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
@@ -99,8 +100,8 @@ def stages(anatomy: str | Anatomy, seeds: Sequence[int]) -> dict[Afferent, Array
 def shift(
     fingers: Sequence[Finger], current_ma: Array, sites: Sequence[int], classes: Sequence[Afferent]
 ) -> Shift:
-    """Return the displacement of receptors from a site, for afferents of the given classes that the
-    currents of the site fire. ``current_ma``, (E, E), has a row of currents for each site."""
+    """Return how far receptors are displaced from the site whose currents fire their afferents.
+    Only afferents of the given classes count. ``current_ma``, (E, E), has a row for each site."""
     away, tried = [np.zeros((0, 2))], 0
     for finger in fingers:
         answers = fired(finger, current_ma[list(sites)])
@@ -127,7 +128,7 @@ def inner_sites(profile: Profile) -> list[int]:
 def reached(
     profile: Profile, center_ma: float, anatomy: str | Anatomy, seeds: Sequence[int]
 ) -> Array:
-    """Return how many RA, SAI and PC a concentric electrode fires, (3,), mean over fingers."""
+    """Return how many RA, SAI and PC fire under a concentric electrode, (3,), mean over fingers."""
     pattern = np.array([[center_ma, -center_ma]])
     rows = []
     for seed in seeds:
@@ -153,13 +154,13 @@ def effects(
 
 
 def spread(values: Iterable[float], digits: int = 1) -> str:
-    """Return the median over fingers with the middle 90 %, as text."""
+    """Return, as text, the median over fingers and the range of the middle 90 % of fingers."""
     middle, low, high = (f"{each:.{digits}f}" for each in middle_90(values))
     return f"{middle} ({low}–{high})"
 
 
 def _counts(rows: Sequence[Array]) -> str:
-    """Return the counts of RA, SAI and PC over fingers as text. Each finger has a row, (3,)."""
+    """Return the `spread` of the counts by class. ``rows`` has a row, (3,), for each finger."""
     columns = zip(Afferent, np.transpose(rows), strict=True)
     return ", ".join(f"{each.name} {spread(column)}" for each, column in columns)
 
@@ -175,7 +176,7 @@ def _stage_rows(
     return [
         (
             "SAI mode on lines: threshold of each class, relative to the lowest",
-            "pressure 1, vibration 1.5, masked 2.5",
+            "pressure 1, vibration 1.5, pressure masked 2.5",
             f"{order[0].name} 1, {shown}",
         ),
         ("SAI mode on lines: lowest threshold, mA", f"{STAGES_MA[0]:g}", spread(least_ma)),
@@ -210,7 +211,7 @@ def _shift_rows(
         alone = {
             "ra": anatomy.ra.model_copy(update=none),
             "sai": anatomy.sai.model_copy(update=none),
-            # Ten times as many PC as in a fingertip give a precise mean.
+            # Simulate ten times as many PC as a fingertip has, so that their mean is precise.
             "pc": anatomy.pc.model_copy(update={"flat_mm": flat_mm, "density_per_cm2": 210.0}),
         }
         mine = anatomy.model_copy(update=alone)
@@ -220,7 +221,7 @@ def _shift_rows(
         ]
         rows.append(
             (
-                f"PC mode: shift toward the fingertip, with axons of {flat_mm:g} mm, mm",
+                f"PC mode, axons of {flat_mm:g} mm: shift toward the fingertip, mm",
                 "1 to 3",
                 spread(-each.y_mm for each in found),
             )
@@ -235,7 +236,7 @@ def _selective_rows(
     for mode, paper in (
         (Afferent.RA, "only RA"),
         (Afferent.SAI, "only SAI, in a narrow range of currents"),
-        (Afferent.PC, "PC and the RA above"),
+        (Afferent.PC, "PC, and the RA above them"),
     ):
         current_ma = CLEAR_MA * kernel_ma(fingers[0].profile, bank, mode)[list(sites)]
         counts = [

@@ -81,24 +81,27 @@ EXPERIMENTS = (
                _SOURCES["paper"], "2.4 mA was clearly felt, so the threshold is lower"),
     Experiment("width", "threshold at 1000 µs relative to 100 µs", ".32 (I²T constant)",
                (0.28, 0.35), _SOURCES["tachi"],
-               "the model follows Weiss's law with 151 µs: a power of −.34, not −.5"),
+               "Weiss's law (chronaxie 151 µs) gives threshold ∝ width^−.34, not width^−.5"),
     Experiment("chronaxie", "chronaxie of RA by its cable model, µs", "151", (136, 166),
-               _SOURCES["rhesus"], "cable nodes are faster (rabbit, 37 °C); spikes use 151 µs"),
+               _SOURCES["rhesus"],
+               "cable nodes (rabbit, 37 °C) are faster; the spike model has a chronaxie of 151 µs"),
     Experiment("polarity", "cathodic over anodic threshold of an RA ending", "1.3–1.5", (1.3, 1.5),
                _SOURCES["rhesus"], "the terminal of the model was fitted to this ratio"),
     Experiment("size", "threshold of a 4 mm disc relative to 1 mm", "above 1", (1.02, np.inf),
-               _SOURCES["zhu"], "a large disc has a flatter field; no source used a finger"),
-    Experiment("size", "threshold of a 4 mm disc relative to 1 mm", "below 1, up to 15 mm",
-               (0, 0.98), _SOURCES["tashiro"], "the model does not add up the spikes of fibers"),
+               _SOURCES["zhu"], "a large disc has a flatter field; no study used a finger"),
+    Experiment("size", "threshold of a 4 mm disc relative to 1 mm",
+               "below 1, for sizes of up to 15 mm", (0, 0.98), _SOURCES["tashiro"],
+               "the model does not add up the spikes of fibers"),
     Experiment("size", "threshold of a 4 mm disc relative to 1 mm", "1, no influence",
                (0.98, 1.02), _SOURCES["dölker"], ""),
-    Experiment("train", f"threshold of {PULSES} pulses relative to one", "below 1 (more pulses)",
-               (0, 0.999), _SOURCES["geng"], "in the model, only because of noise between pulses"),
-    Experiment("burst", f"spikes of {PULSES} pulses at {PULSE_HZ:g} Hz relative to one",
-               "2 (strength)", (1.8, 2.2), _SOURCES["bursts"],
+    Experiment("train", f"threshold of {PULSES} pulses relative to one pulse", "below 1",
+               (0, 0.999), _SOURCES["geng"],
+               "in the model, the threshold falls only because noise differs from pulse to pulse"),
+    Experiment("burst", f"spikes from {PULSES} pulses at {PULSE_HZ:g} Hz, relative to one pulse",
+               "2 (felt strength)", (1.8, 2.2), _SOURCES["bursts"],
                "the model does not turn spikes into felt strength"),
-    Experiment("pair", "threshold of two discs at once, 4 mm apart, relative to one", "below 1",
-               (0, 0.98), _SOURCES["geng"], "beside a disc, its field changes sign"),
+    Experiment("pair", "threshold of two discs at once, 4 mm apart, relative to one disc",
+               "below 1", (0, 0.98), _SOURCES["geng"], "beside a disc, its field changes sign"),
     Experiment("", "threshold of two discs with a delay of 0 to 500 µs", "rises with the delay",
                None, _SOURCES["geng"], "in the model each pulse acts independently"),
     Experiment("anodic", f"SAI share of firing afferents, anodic, {COMFORTABLE:g} × threshold",
@@ -108,11 +111,12 @@ EXPERIMENTS = (
                (0, 0.3), _SOURCES["yem"], ""),
     Experiment("cathodic", f"SAI share of firing afferents, cathodic, {COMFORTABLE:g} × threshold",
                "vibration and pressure", (0.3, 0.9), _SOURCES["yem"], "SAI axons are horizontal"),
-    Experiment("points_ra", "points 4 mm apart are resolved, RA mode", "–", None,
+    Experiment("points_ra", "point pairs 4 mm apart: share that is resolved, RA mode", "–", None,
                _SOURCES["solomonow"], "the abstract states no distance; we chose the criterion"),
-    Experiment("points_sai", "points 4 mm apart are resolved, SAI mode", "–", None,
+    Experiment("points_sai", "point pairs 4 mm apart: share that is resolved, SAI mode", "–", None,
                _SOURCES["solomonow"], ""),
-    Experiment("level", f"letters read at {COMFORTABLE:g} × threshold minus letters at threshold",
+    Experiment("level",
+               f"share of letters read: increase from threshold to {COMFORTABLE:g} × threshold",
                "better", (0.02, 1), _SOURCES["display"], "at threshold, many points are silent"),
 )  # fmt: skip
 
@@ -181,7 +185,8 @@ def _sai_share(finger: Finger, drive: Floats) -> float:
 
 
 def _train_threshold(model: SpikeModel, drive: Floats) -> float:
-    """Return the current at which half the trains cause a spike, relative to that of one pulse."""
+    """Return the current at which half of the trains cause a spike, relative to the current at
+    which half of the single pulses cause a spike."""
     noise = np.array([one.anatomy.noise for one in model.finger.populations.values()])
     noise = noise[model.finger.classes][:, None]
     levels = np.linspace(0.9, 1.02, 241)
@@ -196,7 +201,7 @@ def _train_threshold(model: SpikeModel, drive: Floats) -> float:
 
 
 def _burst_spikes(model: SpikeModel, current_ma: Array) -> float:
-    """Return the number of spikes of a burst, relative to one pulse."""
+    """Return the number of spikes that a burst causes, relative to that of one pulse."""
     period_us = round(1e6 / PULSE_HZ)
 
     def spikes(count: int) -> int:
@@ -273,7 +278,7 @@ def resolves_two_points(finger: Finger, current_ma: Array, places_mm: Array) -> 
 
 
 def _points(bench: Bench, finger: Finger) -> dict[str, float]:
-    """Return the share of pairs of points two pitches apart that are resolved."""
+    """Return, by mode, the share of resolved pairs. The points of a pair are two pitches apart."""
     place = bench.mouse.electrodes.position_mm
     row = np.flatnonzero(np.isclose(place[:, 1], place[bench.sites[0], 1]))
     row = row[place[row, 0].argsort()]
@@ -288,7 +293,8 @@ def _points(bench: Bench, finger: Finger) -> dict[str, float]:
 
 
 def _letters(bench: Bench, model: SpikeModel) -> dict[str, float]:
-    """Return the share of letters read at `COMFORTABLE` × threshold minus that at threshold."""
+    """Return how much the share of letters read increases from threshold to `COMFORTABLE` times
+    the threshold."""
     point_ma = CLEAR_MA * kernel_ma(bench.mouse, bench.bank, Afferent.RA)[bench.sites]
     level = median(1 / _drive(model, point_ma).max(axis=0))
     right = np.zeros(2)

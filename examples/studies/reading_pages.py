@@ -50,11 +50,12 @@ from smarttouch.running.config import RunConfig
 Counts, Values = NDArray[np.intp], NDArray[np.float32]
 ANATOMIES = ("paper", "branched")
 TUNED, HELD_OUT = (1, 2), 101
-"""`TUNED`: seeds of fingers that choose settings. `HELD_OUT`: first seed of fingers for tests."""
+"""`TUNED`: seeds of the fingers on which settings are chosen. `HELD_OUT`: first seed of the fingers
+on which they are tested."""
 MOST_LINES = 2  # largest number of lines read on a page
 LEAST_LOWER = 16
 """Smallest number of lowercase letters in a line that is read, so that headings are skipped."""
-MOST_LAG = 24  # largest number of pulses per pitch that is tried
+MOST_LAG = 24  # largest lag that `step_by_spikes` tries, in pulses
 SAMPLE = "sample_images/page.png"
 OBSERVERS = ("knows the path", "spikes alone")
 JITTER_MM = (0.5, 1.0)
@@ -69,7 +70,7 @@ class Setting:
     style: str = "graded"
     scan: str = "auto"
     speed: float = 1.0  # at 1, each electrode pulses four times per pitch
-    size: float = 1.0  # height of a line, relative to the array
+    size: float = 1.0  # height of a line, relative to the height of the array
 
 
 BEFORE = Setting()
@@ -77,7 +78,7 @@ LEVELS, STYLES = (1.0, 0.7, 0.5, 0.4), ("graded", "plain")
 CHANGES: dict[str, tuple[Any, ...]] = {
     "scan": ("points", "frame"), "speed": (0.5, 2.0), "size": (0.75,),
 }  # fmt: skip
-"""Values that are tested one at a time, with the best level and style."""
+"""Values to test. Each test changes one of these settings; level and style are the best ones."""
 
 
 @cache
@@ -100,7 +101,7 @@ def smaller(line: TouchLine, size: float) -> TouchLine:
 
 @cache
 def delivered(page: str, setting: Setting) -> tuple[tuple[DeliveredLine, ...], str]:
-    """Return the delivered pulses of the first lines of running text, and their text."""
+    """Return the delivered pulses of the first lines of running text, and the text of the lines."""
     chosen, shapes = profile(), Shapes(setting.style == "graded")
     speed_mm_s = setting.speed * shapes.motion(chosen).speed_mm_s
     reading = LineDelivery(
@@ -121,8 +122,9 @@ def delivered(page: str, setting: Setting) -> tuple[tuple[DeliveredLine, ...], s
 
 
 def step_by_spikes(values: NDArray[np.float32]) -> float:
-    """Estimate how far the finger moves from pulse to pulse, mm: the pitch divided by the lag at
-    which neighboring columns correlate most. ``values``, (N, E), are spikes around electrodes."""
+    """Estimate how far the finger moves from pulse to pulse, mm. The spikes of neighboring columns
+    correlate most at some lag, in pulses. The estimate is the pitch divided by this lag.
+    ``values``, (N, E), are the spikes around each electrode."""
     places_mm = profile().electrodes.position_mm[:, 0]
     columns = np.unique(places_mm.round(3))
     by_column = np.stack([values[:, np.isclose(places_mm, x)] for x in columns], axis=1)
@@ -137,7 +139,7 @@ def step_by_spikes(values: NDArray[np.float32]) -> float:
     return float(columns[1] - columns[0]) / lag
 
 
-FULL_QUANTILE = 0.99  # this quantile of each sequence's largest value is scaled to 1
+FULL_QUANTILE = 0.99  # over all sequences, this quantile of their largest values is scaled to 1
 
 
 def spikes_of(lines: Sequence[DeliveredLine], finger: Finger) -> Iterator[dict[int, Counts]]:
@@ -246,7 +248,7 @@ def with_interval(values: Sequence[float]) -> str:
 
 
 def table(rows: Sequence[PageRow]) -> Iterator[str]:
-    """Yield a table row for each page, anatomy and setting, with the errors of each observer."""
+    """Yield a table row for each page, anatomy and setting: the errors and the misplaced spikes."""
     groups: dict[tuple[str, str, Setting], list[PageRow]] = {}
     for row in rows:
         groups.setdefault((row.page, row.anatomy, row.setting), []).append(row)
@@ -258,8 +260,8 @@ def table(rows: Sequence[PageRow]) -> Iterator[str]:
 
 
 def worst(rows: Sequence[PageRow]) -> dict[Setting, float]:
-    """Return for each setting the mean error of the observer who knows the path, in the anatomy
-    with the larger mean error."""
+    """Return for each setting the mean error of the observer who knows the path. Of the two
+    anatomies, the one with the larger mean error counts."""
     errors: dict[tuple[Setting, str], list[float]] = {}
     for row in rows:
         errors.setdefault((row.setting, row.anatomy), []).append(row.errors[OBSERVERS[0]])

@@ -30,7 +30,7 @@ AFFERENT_UM = {Afferent.RA: 30.0, Afferent.PC: 1.2}
 """Median threshold amplitude of each class at its best frequency, 30 Hz for RA (our choice). In
 TouchSim, none of nine RA afferents responds to 8 µm at 30 Hz; about 45 µm are needed."""
 DEEPER_MM = {Afferent.PC: 2.0}
-"""A stimulus widens with depth. At the depth of PC, its radius is larger by this (our choice)."""
+"""Increase of the radius of a stimulus from the surface to the depth of PC (our choice)."""
 LOCKED = 1.8
 """Amplitude at which each cycle causes a spike, relative to the threshold (our choice)."""
 SPREAD = 0.35
@@ -54,7 +54,7 @@ def skin_spikes(
     trace: Trace,  # displacement and force of the probe
     place_mm: tuple[float, float] = (0.0, 0.0),  # center of the probe
     radius_mm: float = PROBE_MM,  # radius of the probe
-    seed: int = 1,  # seed of the thresholds and of the choice of cycles without a spike
+    seed: int = 1,  # seed of what is random: thresholds, and which cycles cause no spike
     sai_full_n: float = SAI_FULL_N,  # force at which the drive of SAI is 1
     sai_rate_hz: float = SAI_RATE_HZ,  # rate of SAI at this force
 ) -> SkinSpikes:
