@@ -119,7 +119,7 @@ def shift(
 
 
 def inner_sites(profile: Profile) -> list[int]:
-    """Return the electrodes in the central part of an array: half its width by half its height."""
+    """Return the electrodes within the central half of an array's width and of its height."""
     reach = np.abs(profile.electrodes.position_mm).max(axis=0) / 2 + 1e-9
     within = (np.abs(profile.electrodes.position_mm) <= reach).all(axis=1)
     return [int(each) for each in np.flatnonzero(within)]

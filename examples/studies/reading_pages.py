@@ -282,7 +282,7 @@ def chosen(kept: Path) -> tuple[Setting, list[PageRow]]:
 
 def main(fingers: str, kept: str, *pages: str) -> None:
     """Choose level and style on the sample page and the `TUNED` fingers. Test the choice on other
-    fingers, with each of `CHANGES`, and on other pages."""
+    fingers, with each change in `CHANGES`, and on other pages."""
     file = Path(kept)
     best, rows = chosen(file)
     print(*table(rows), sep="\n", flush=True)
