@@ -286,7 +286,7 @@ class WatchedPort:
     def __init__(self, port: Port, zero: bytes) -> None:
         self.timeout: float | None = port.timeout
         self._port, self._zero = port, zero
-        self._closing = threading.Event()
+        self._armed, self._closing = threading.Event(), threading.Event()
         self._beaten_ns: int | None = None  # time of the last heartbeat
         self._beating = threading.Thread(target=self._beat, name="watchdog heartbeat", daemon=True)
         self._control, control = socket.socketpair()
@@ -321,10 +321,8 @@ class WatchedPort:
     def arm(self) -> None:
         """Arm the watchdog by the first heartbeat."""
         if self._beaten_ns is None:
-            # If the watchdog has ended, the next write reports this.
-            with contextlib.suppress(OSError):
-                self._send_beat()
             self._beating.start()
+            self._armed.wait()
 
     def write(self, data: bytes) -> int:
         """Write bytes.
@@ -385,13 +383,19 @@ class WatchedPort:
 
     @prioritized()
     def _beat(self) -> None:
-        # After a pause, send no heartbeat: the watchdog may be writing the zero command.
-        while not self._closing.wait(BEAT_S) and not self._is_stale():
+        # This thread also sends the first heartbeat. A busy computer could delay this thread until
+        # it has its priority, and the armed watchdog would not wait for so long.
+        while True:
             try:
                 self._send_beat()
             except OSError:
                 # The watchdog is gone. If it was killed, the board is not at zero yet.
                 self._end()
+                return
+            finally:
+                self._armed.set()
+            # After a pause, send no heartbeat: the watchdog may be writing the zero command.
+            if self._closing.wait(BEAT_S) or self._is_stale():
                 return
 
     def _send_beat(self) -> None:
