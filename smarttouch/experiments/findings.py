@@ -122,7 +122,7 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
         return none(f"{success} in 0 of {total} answers: a threshold can only be above {high:.4g}")
     share = successes / total
     if len(counts.stimulus) == 1:
-        why = f"all {total} answers were at comparison {low:.4g}, with {success} in {share:.0%}"
+        why = f"{success} in {share:.0%} of {total} answers; all trials had comparison {low:.4g}"
         return none(f"{why}: test several comparisons")
     found = fit(counts, model, answers.standard)
     if _chance_of_flat(found, _guessing(answers, model)) > FLAT:
