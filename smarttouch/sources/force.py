@@ -194,7 +194,7 @@ def open_hx711(rest: str, profile: Profile) -> ForceSource:
 
 
 def open_load_cell(rest: str, profile: Profile) -> ForceSource:
-    """Open ``loadcell:PORT``, a load cell that sends packets of `serial_array`."""
+    """Open ``loadcell:PORT``, a load cell that sends packets of `serial_sensors`."""
     return LoadCellForce(f"loadcell:{rest}", profile)
 
 

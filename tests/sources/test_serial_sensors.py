@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.base.wire.framing import Deframer, WirePacket, frame_packet
 from smarttouch.emulator.device_lines import PtyLine
-from smarttouch.sources import open_source, serial_array
+from smarttouch.sources import open_source, serial_sensors
 from smarttouch.sources.serial_sensors import (
     LARGEST_BODY,
     NO_READING,
@@ -201,7 +201,7 @@ def test_a_port_that_is_gone(line, source):
 
 
 def test_bytes_that_are_no_frames_from_the_start_on(line, source, monkeypatch):
-    monkeypatch.setattr(serial_array, "_UNREADABLE_S", 0.0)
+    monkeypatch.setattr(serial_sensors, "_UNREADABLE_S", 0.0)
     assert source.grab(0) is None, "a frame was read before any byte was sent"
     line.send(b"Reading: 12.3 g\r\n")
     odd = {"value": line.name}
