@@ -10,6 +10,7 @@ from smarttouch.braille.grade1 import Grade1
 from smarttouch.pages.prepared_page import print_text
 
 from ..pages.printed import print_page, some_lines
+from ..support.full import sample
 from .drawn_dots import draw_dots
 
 LINES = [Grade1().encode(line) for line in some_lines(12, 24)]
@@ -72,6 +73,6 @@ OTHERS = {
 }
 
 
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("name", sample(OTHERS))
 def test_other_pages_are_not_taken_for_braille(name):
     assert not shows_dots(OTHERS[name]())

@@ -18,6 +18,7 @@ import pytest
 from smarttouch.base.errors import RecordingError
 from smarttouch.running.recording import RecordedRun
 
+from ..support.full import sample
 from .test_window import page_of
 
 INTRUDER = r"""
@@ -145,7 +146,7 @@ COMMANDS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", sample(COMMANDS))
 def test_files_and_folders_of_a_command(program_here, tmp_path, monkeypatch, name):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     # The check at the end skips the folder ``state``, so make this folder with any mode.

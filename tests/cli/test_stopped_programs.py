@@ -51,14 +51,14 @@ def is_whole(path):
     return any(True for _ in recording.steps()) and recording.whole
 
 
-@pytest.mark.parametrize(("kind", "first"), [
+@pytest.mark.parametrize(("kind", "first"), sample([
     ("run", {"run": "done"}),
     ("thread", {"run": "done"}),
     ("own handler", {"run": "done"}),
     ("session", {"session": "SmartTouchError"}),
     ("board", {"drive": "BoardStoppedError"}),
     ("left open", {"open": "done", "drive": "BoardStoppedError", "send": "BoardStoppedError"}),
-])  # fmt: skip
+]))  # fmt: skip
 def test_smarttouch_stop_ends_what_a_program_drives(start, start_program, tmp_path, kind, first):
     process, books = start(kind)
     until(lambda: read_state(books)["slots"] > 50)

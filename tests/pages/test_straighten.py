@@ -10,6 +10,7 @@ from smarttouch.pages.prepared_page import find_lines, prepare_page
 from smarttouch.pages.straighten import find_sheet
 
 from ..support.checks import numbers_in
+from ..support.full import sample
 from .printed import TABLE, degrade, print_page, some_lines
 
 
@@ -29,9 +30,9 @@ def assert_level(page):
     assert abs(np.median(slopes_deg)) < 0.12
 
 
-@pytest.mark.parametrize(("skew_deg", "inverted"), [
+@pytest.mark.parametrize(("skew_deg", "inverted"), sample([
     (-14, True), (-3, False), (-0.5, True), (0.5, False), (2, True), (8, False), (14.5, False),
-])  # fmt: skip
+]))  # fmt: skip
 def test_skew_is_turned_back(printed, skew_deg, inverted):
     tilted = degrade(printed, skew_deg=skew_deg, inverted=inverted, noise=5).page
     prepared = prepare_page(tilted)

@@ -85,14 +85,14 @@ def test_a_level_that_is_not_open_is_opened_first_with_an_event():
     assert [str(each) for each in events if "waited" in str(each)]
 
 
-@pytest.mark.parametrize(("mode", "pattern", "level"), [
+@pytest.mark.parametrize(("mode", "pattern", "level"), sample([
     ("SAI", RING > 0, 1.0),
     ("natural", np.stack([RING, RING, 0 * RING]), 1.0),
     ("COLOR", np.stack([RING, 0 * RING, RING]), 1.0),
     ("RA", LETTER, 0.5),
     ("natural", st.Frame(LETTER, 0), 0.3),
     ("RA", st.TactileImage(np.stack([RING, 0 * RING, 0 * RING]), 0, 0.9), 1.0),
-])  # fmt: skip
+]))  # fmt: skip
 def test_patterns_of_every_kind_are_at_the_level_asked(mode, pattern, level):
     touch, results = session("simulated:", mode=mode)
     with touch:

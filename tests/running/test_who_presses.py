@@ -23,7 +23,7 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source, Stimulus, StimulusSource
 
 from ..support.checks import raises
-from ..support.full import WHOLE
+from ..support.full import WHOLE, sample
 from ..support.scans import board_without_finger
 
 GOLDEN = Path(__file__).parents[1] / "running" / "goldens" / "ra.mcap"
@@ -91,7 +91,7 @@ def flows(profile, bank):
     return run
 
 
-@pytest.mark.parametrize("name", VIRTUAL)
+@pytest.mark.parametrize("name", sample(VIRTUAL))
 def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, name):
     def source():
         return VIRTUAL[name](profile, tmp_path)
