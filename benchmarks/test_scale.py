@@ -11,7 +11,7 @@ from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 
 
 def square(side, neighbors):
-    """Return the electric mouse with side x side electrodes, and as many sensor pixels."""
+    """Return the electric mouse with ``side`` rows and columns of electrodes and of pixels."""
     mouse = st.load_profile("electric-mouse")
     sees = {"sensor_rows": side, "sensor_columns": side, "magnification": 0.4 * side}
     parts = {

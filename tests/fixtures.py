@@ -80,7 +80,7 @@ def pytest_collection_finish():
     """Exempt modules and tests, which exist until the end, from garbage collection."""
     gc.collect()
     gc.freeze()
-    # Each run checks only whether this count is zero. Counting all objects would be slow.
+    # Each run only checks whether objects are frozen. It would be slow to count them.
     gc.get_freeze_count = lambda: 1
 
 

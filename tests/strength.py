@@ -139,7 +139,7 @@ def listed():
 
 
 def check(options):
-    """Check that each fault, listed or drawn, changes the code, and that the code compiles."""
+    """Check that each fault, listed or random, changes the code, and that the code compiles."""
     options.listed = False
     for faults in (listed(), chosen_faults(options)):
         for (file, line, kind), text in faults.items():

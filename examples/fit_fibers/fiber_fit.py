@@ -128,7 +128,7 @@ def _weights(features: Array, threshold_ma: Array, start: Array, block: float) -
 
 
 def _features(fiber: Fiber, potential_mv: Array, reach: int) -> Array:
-    """Return second differences, (C, M, W). Their weighted sum is the drive of each node."""
+    """Return second differences of potentials at M nodes, (C, M, W); W weights make drives."""
     bends = potential_mv @ bend_operator(fiber.end, potential_mv.shape[1]).T
     count, size = bends.shape
     padded = np.pad(bends, ((0, 0), (reach, reach)))

@@ -30,8 +30,8 @@ STAGES_MA = (0.2, 0.4, 0.6, 1.0)
 CLEAR_MA = 2.4
 """Current that was clearly felt on a disc of 1.0 mm (Section III-C)."""
 LOWERED = 20.0
-"""All thresholds are divided by this factor, because `Finger` omits nodes that no allowed current
-fires. The currents that result are multiplied by this factor."""
+"""Factor between real and modeled thresholds. `Finger` omits nodes that fire only above the allowed
+current. Lower thresholds keep these nodes; currents are multiplied by this factor afterwards."""
 
 
 @dataclass(frozen=True)

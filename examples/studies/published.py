@@ -84,7 +84,7 @@ EXPERIMENTS = (
                "Weiss's law (chronaxie 151 µs) gives threshold ∝ width^−.34, not width^−.5"),
     Experiment("chronaxie", "chronaxie of RA by its cable model, µs", "151", (136, 166),
                _SOURCES["rhesus"],
-               "cable nodes (rabbit, 37 °C) are faster; the spike model has a chronaxie of 151 µs"),
+               "rabbit nodes at 37 °C react faster; the chronaxie of the spike model is 151 µs"),
     Experiment("polarity", "cathodic over anodic threshold of an RA ending", "1.3–1.5", (1.3, 1.5),
                _SOURCES["rhesus"], "the terminal of the model was fitted to this ratio"),
     Experiment("size", "threshold of a 4 mm disc relative to 1 mm", "above 1", (1.02, np.inf),

@@ -153,7 +153,7 @@ class CortexM3(Machine):
         words = electrodes, OUTPUTS.index(output), ramp_ms, stands_after
         words = ",".join(f"arg={each}" for each in words)
         elf = cortex_m3(" -DST_WATCHDOG -DST_SILENCE_US=500000u" * bool(stands_after))
-        # The firmware begins with a record that all electrodes are shorted.
+        # At start, the firmware writes its first record: all electrodes are shorted.
         super().__init__(
             "mps2-an385", elf, lambda: len(self.records()), *["-icount", "shift=3"] * counts,
             "-semihosting-config", f"enable=on,arg=board,{words}", "-serial", f"file:{self._trace}",

@@ -60,7 +60,7 @@ def test_emulator_and_core_refuse_what_the_judge_refuses(make_life, output, ramp
 
 
 def lived(make_life, built, play, both=False):
-    """Play one of `LIVES` to a core from a library; if ``both``, to the emulator as well."""
+    """Run one of `LIVES` on a core, built as a library; if ``both``, also on the emulator."""
     output = "three-state" if play is one_source else "weighted"
     return play(
         make_life(built, output=output, ramp=play in (rise, limits, rising_parts), both=both)
@@ -101,10 +101,10 @@ MUTANTS = {
         session, LAST, "session_pc += load->charge_pc", "session_pc += 0u"
     ),
     "only current raises the level": (rise, LEVEL, "if (sequence->strength > 0u)", "if (true)"),
-    "strength limits the level": (
+    "the level is limited by strength": (
         rise, LEVEL, "st_least(ramp->strength, ramp->level + rises)", "ramp->level + rises"
     ),
-    "charge limits the strength": (
+    "the strength is limited by charge": (
         rise, LEVEL, "st_least(intensity, ST_STRENGTH * share)", "intensity"
     ),
     "time without current ends a level": (

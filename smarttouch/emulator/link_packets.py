@@ -122,7 +122,7 @@ class BoardSession:
     def _refusal_of(self, message: Message, began_ns: int) -> Refusal | None:
         if message.version != VERSION or not self.number or message.session != self.number:
             return Refusal.FOREIGN
-        # The host confirms, in each packet, the newest packet that it has received from the board.
+        # Each packet of the host confirms the newest packet of the board that the host received.
         # An ALIVE is stale if the board sent it more than `LATE_MS` before the host's packet began
         # to arrive. The host's packet is late if it confirms nothing newer than a stale ALIVE.
         stale = (number for sent_ns, number in self._alive if sent_ns < began_ns - LATE_MS * _MS)

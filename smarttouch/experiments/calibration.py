@@ -144,7 +144,7 @@ def file_to_calibrate(
     if key is not None:
         raise CalibrationError(
             f"{output} exists and differs from {start} in {key}: leave out --profile to continue "
-            "with the file, or give another file to --output"
+            f"with {output}, or give another file to --output"
         )
     if part in file.profile.calibrated and not overwrite:
         raise CalibrationError(

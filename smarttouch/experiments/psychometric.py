@@ -211,7 +211,7 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
 
 
 def _refined(values: Array, weights: Array) -> Array:
-    """Spread the same number of values evenly over the range where weights exceed `_NEGLIGIBLE`."""
+    """Return a finer grid: as many values, spread evenly where weights exceed `_NEGLIGIBLE`."""
     some = np.flatnonzero(weights > _NEGLIGIBLE)
     low, high = values[max(some[0] - 1, 0)], values[min(some[-1] + 1, len(values) - 1)]
     return np.linspace(low, high, len(values))

@@ -183,7 +183,7 @@ class MouseSource(StimulusSource):
     def __init__(
         self,
         texture: Texture,  # texture under the hand
-        motion: HandMotion,  # open motion; the source closes it
+        motion: HandMotion,  # reports the motion of the hand; the source closes it
         # Profile from `profile_for_reading`, so that images show exactly the area under the array.
         profile: Profile,
         mode: Mode = Mode.RA,  # class to stimulate: RA, SAI or PC

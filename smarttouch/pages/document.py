@@ -174,7 +174,7 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
     return pdf
 
 
-_STAMP = 100  # at most this many rotated characters may be a stamp, so the page is not turned
+_STAMP = 100  # so many rotated characters, or fewer, may be a stamp: the page is not turned
 _LEVEL = 10.0  # angle to the horizontal or vertical, degrees, above which text is slanted
 _FINE = 1000.0  # PDFium returns integer coordinates: request them in 1/1000 point
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
@@ -264,7 +264,7 @@ _SMALLER = 0.95  # largest size of a superscript or subscript, relative to the t
 _SHIFTED = (0.1, 0.8)  # smallest and largest shift of a sub- or superscript, in letter sizes
 _NEAR = 0.55  # largest gap between a sub- or superscript and the word, in letter sizes
 _INITIAL = 1.8  # smallest size of a drop cap relative to the text
-_TOUCHING = 0.3  # smallest gap that is a space, in letter sizes, where the file has a line break
+_TOUCHING = 0.3  # smallest gap, in letter sizes, that is a space at a line break of the file
 _FARTHEST = 2.5  # largest space within a segment, in letter sizes
 _SPACED = 0.8  # largest letter spacing, in letter sizes
 _WIDER = 1.5  # smallest gap between letter-spaced words, relative to the letter spacing

@@ -37,7 +37,7 @@ class Segment:
     right: float
     y: float  # baseline; y points down
     size: float  # letter size
-    place: int  # index in the file; negative in form fields and pictures
+    place: int  # index of the segment in the file; negative in form fields and pictures
     space: str = ""  # white space before the segment in the file
     turn_deg: int | None = 0  # rotation that makes the text horizontal; None if slanted
 
@@ -212,9 +212,9 @@ def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
 
 
 def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
-    """Return the smaller mean line width of two columns, relative to the smallest width of
-    prose. The columns are prose if the result is at least 1. Return 0 for a table or few rows, and
-    infinity if the file stores one column after the other."""
+    """Return the mean width of the lines in the narrower column, relative to the smallest width
+    of prose. Columns of prose have at least 1. Return 0 for a table or few rows. Return infinity
+    if the file stores one column after the other, as files of prose do."""
     ends = [_text(row)[:1] + _text(row)[-1:] for row in right]
     if all(map(str.isdigit, ends)) or all(_text(row).endswith(":") for row in left):
         return 0.0  # a table: the right column has only numbers, or the left only labels

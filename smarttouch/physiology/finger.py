@@ -285,8 +285,8 @@ class Finger:
         limit_ma = float(limits.current_ma)
         total = float(limits.total_ma or np.inf)
         share = np.clip(total - limit_ma * np.arange(rows.shape[1]), 0, limit_ma)
-        # Pair the largest drive with the smallest, the second largest with the second smallest, and
-        # so on. Pairs that lower the drive get no current.
+        # Pair the electrode with the largest effect on a node and the one with the smallest, and so
+        # on. A pair gets no current if it would lower the node's drive.
         return np.asarray(np.maximum(ranked[:, ::-1] - ranked, 0) @ share)
 
 

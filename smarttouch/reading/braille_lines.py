@@ -146,7 +146,7 @@ class Braille:
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
     ) -> LineMotion:
-        """Return a motion in steps of one electrode. Letter shapes have the same default speed."""
+        """Return a motion in steps of one electrode. By default, it is as fast as for letters."""
         speed_mm_s = usual_speed_mm_s(profile, rate_hz) if speed_mm_s is None else speed_mm_s
         return LineMotion(speed_mm_s, cell_layout(profile).pitch_mm[0])
 

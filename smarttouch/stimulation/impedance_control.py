@@ -45,8 +45,8 @@ class ImpedanceControl:
         self._switched = profile.output.kind != "weighted"
         self._near_v = NEAR * compliance_v
         longest = profile.pulse.width_us / profile.limits.pulse_us
-        # Smallest value of `_highest_ua`. At full intensity, pulses then have the longest width.
-        # Smaller values would not change the pulses, and would take longer to rise.
+        # Lower bound of `_highest_ua`. At this bound, pulses of full intensity have the longest
+        # width. A lower value would not change them, and would take longer to rise again.
         self._least_ua = longest * np.asarray(profile.threshold_ma, np.float64) * 1000
         self._highest_ua = np.full(sites, np.inf)
         self._first_kohm = np.full(sites, np.nan)

@@ -118,8 +118,8 @@ class Ramp:
 
     def permits(self, strength_ppb: int, claimed_ns: int, open_ppb: int | None = None) -> bool:
         """Return whether a sequence of this strength may begin now. The strength may exceed the
-        ramp's level by as much as the ramp rises in `LATE_NS`. ``open_ppb`` is this level, if the
-        caller knows it."""
+        ramp's level by as much as the ramp rises in `LATE_NS`. ``open_ppb`` is the ramp's level,
+        without this excess, if the caller knows it."""
         with self.lock:
             most_ppb = LEEWAY_PPB
             if self._begun:

@@ -67,7 +67,7 @@ def assert_same_pulses(
     found: Sequence[SentPulse], wanted: Sequence[SentPulse], step_ua: float, step_us: float
 ) -> None:
     """Fail unless pulses are as planned, rounded to the steps of the device, and sum to zero."""
-    assert len(found) == len(wanted), f"{len(found)} pulses were sent, {len(wanted)} were proved"
+    assert len(found) == len(wanted), f"{len(found)} pulses were sent, {len(wanted)} were permitted"
     for number, (pulse, plan) in enumerate(zip(found, wanted, strict=True)):
         message = f"pulse {number} of {len(wanted)}: "
         assert abs(sum(pulse.current_ua)) <= step_ua / 2, message + "currents do not add up to zero"

@@ -237,8 +237,8 @@ class Hosted:
     def __init__(self, kind, start_emulator, start_firmware, start_cortex_m3, folder, monkeypatch):
         monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
-        # A second word names the firmware: a version as in "etactilekit newest", the C firmware on
-        # this machine in "link C", or the C firmware on a Cortex-M3 in "link M3".
+        # The second word of a kind names the firmware: a version in "etactilekit newest", the C
+        # firmware on this machine in "link C", or the C firmware on a Cortex-M3 in "link M3".
         kind, _, firmware = kind.partition(" ")
         if firmware == "C":
             _, port = start_firmware(f"--books={folder}", "--ramp-ms=0")

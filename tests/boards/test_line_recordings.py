@@ -76,7 +76,7 @@ def test_a_recorded_session_is_a_test_of_the_driver(recorded, kind):
 def test_bytes_that_differ_are_named_with_their_position(recorded):
     path = recorded("kajimoto61")
     sent = b"".join(bytes.fromhex(line["hex"]) for line in events(path) if line["event"] == "sent")
-    # `anodic` rounds 400 µA to 360 µA. These are 9.2 steps of 39.06 µA, and the driver sends 9.
+    # `anodic` rounds 400 µA to 360 µA. The driver sends 9 steps of 39.06 µA, or 352 µA.
     position = sent.index(9)
     with raises(BoardError, names=(f"byte {position} ", "0b", "09")), replayed(path) as port:
         session("kajimoto61", port, pulses=(440,))

@@ -67,7 +67,7 @@ class Brltty:
     """BRLTTY process, which can be started again after `kill`.
 
     ``device`` is a value of BRLTTY's option ``-d``. ``settings`` is the text of a file such as
-    ``/etc/brltty.conf``; the device, the screen driver and BrlAPI's host in it are replaced.
+    ``/etc/brltty.conf``, in which device, screen driver and BrlAPI's host are replaced.
     """
 
     def __init__(self, device: str, folder: Path, settings: str) -> None:

@@ -181,7 +181,7 @@ def test_what_was_typed_is_felt_and_not_the_line_again(finger):
     assert finger.cell(REST_S + 1.0) == "⣀"
     finger.show("⠓⠊⣀⠀")  # a character was deleted, so the cursor is in the third cell
     assert finger.cell(9.0) == "⣀"
-    finger.show("⠓⠊⣀⠙")  # a change after the cursor is not typing: the line starts over
+    finger.show("⠓⠊⣀⠙")  # a change after the cursor was not typed: the line starts over
     assert finger.cell() == "⠓"
 
 

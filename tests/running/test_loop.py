@@ -186,7 +186,7 @@ def test_an_exception_in_any_stage_ends_at_zero(monkeypatch, play, pipeline, boa
 
 
 def test_a_board_that_was_lost_and_is_back_begins_at_zero(monkeypatch, play, board):
-    """Listeners also receive the step whose sequence was lost. The gap is not a period error."""
+    """Listeners also receive the step whose sequence was lost. No period error counts the gap."""
     send, clock, seen, words = board.driver.write, FakeClock(), [], "the board at x has vanished"
 
     def lose(proved):

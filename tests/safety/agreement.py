@@ -28,7 +28,7 @@ HURRIES = (
     "sequences in a second", "strong in a second", "mean in a second", "mean in a second",
     "net in a second", "reduces charge", "session time", "session charge",
 )  # fmt: skip
-"""Half of the streams attack mostly one of these rules, with sequences in quick succession."""
+"""In half of the streams, most sequences try to break one of these rules, in quick succession."""
 UNSAFE, STRICT, CRASH, COPY = (
     "accepted only by the gate", "refused only by the gate", "unexpected error of the gate",
     "wrong or writable field in the gate's copy",

@@ -30,8 +30,8 @@ NET_PC = 50 * 10**6
 LEVEL_KEPT_NS = 15 * NS
 """Time without current after which the ramp's level falls to zero."""
 LONGEST_SHARE_US = 40_000
-"""Longest time over which `STRONG_A_SECOND` and `MEAN_UA` limit a single sequence. If its period
-is shorter, the limits hold over the period."""
+"""Longest time over which a single sequence must keep `STRONG_A_SECOND` and `MEAN_UA`. If the
+sequence has a shorter period, this time is its period."""
 TOTAL_MA = 10
 DENSITY_UC_CM2 = 100
 PC_MM2 = 10**4

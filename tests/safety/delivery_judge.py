@@ -82,7 +82,7 @@ def judge_pulses(pulses, bounds):
 
 
 def _allowance(pulses):
-    """Return the largest ratio of delivered to planned current, (N, E)."""
+    """Return the largest permitted ratio of delivered to planned current, (N, E)."""
     current = pulses.current_ua
     poles = [(current > 0).sum(axis=1), (current < 0).sum(axis=1)]
     shares = np.where(current > 0, poles[0][:, None], poles[1][:, None]) > 1

@@ -228,7 +228,7 @@ def _weak(draft, oracle, rng):
 
 
 def _of_strength(draft, oracle, rng, most, beyond):
-    """Replace all slots by one with the strength ``most``, limited by intensity or by charge."""
+    """Replace all slots by one of strength ``most``. Randomly, intensity or charge limits it."""
     bounds = oracle.bounds
     _weak(draft, oracle, rng)
     whole_pc = bounds.full_pc * most / (TIMES_ITS_SHARE * WHOLE)

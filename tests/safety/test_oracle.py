@@ -204,7 +204,7 @@ def test_bounds_of_profiles():
     assert mouse.electrode_ua == (5000,) * 64
     assert (mouse.pulse_us, mouse.ramp_ns, mouse.late_rise) == (200, NS // 2, 200_000_000)
     assert (mouse.rounding_ua, mouse.session_us) == (33, 3600 * 10**6)
-    # In single precision, half the threshold of 1.2 mA is just above 600 µA. It is rounded up.
+    # In single precision, half the threshold of 1.2 mA is just above 600 µA: rounded up, 601 µA.
     assert mouse.strong_ua == (601,) * 64
     assert mouse.recharge_ua == (120,) * 64
     assert 2400 < mouse.full_ua < Fraction(24_001, 10)

@@ -92,7 +92,7 @@ class Watch:
         self._oracles.pop(gate, None)
 
     def restart(self, gate):
-        """Restart the oracle of a gate at zero, like the gate; the dose of the session remains."""
+        """Restart the oracle of a gate at zero, as the gate does. The session's dose remains."""
         oracle, clock = self._oracles.get(gate), self._clocks.get(gate)
         if oracle is not None and clock is None:
             oracle.restart(oracle.clock_ns or 0)

@@ -128,7 +128,7 @@ def test_whatever_comes_the_phase_keeps_its_limits(situation):
     assert current_ua.any()
     assert current_ua.sum() == 0
     assert not (current_ua * np.sign(wanted_pc) < 0).any(), "a net charge was increased"
-    assert not current_ua[wanted_pc == 0].any(), "an electrode without net charge has current"
+    assert not current_ua[wanted_pc == 0].any(), "an electrode that needs no recharge gets current"
     assert (np.abs(current_ua) <= within.most_ua).all()
     passed_pc = np.abs(current_ua) * width_us
     assert (passed_pc <= np.minimum(MOST_RECHARGE_PC, np.abs(wanted_pc) + width_us)).all()

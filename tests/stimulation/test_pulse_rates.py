@@ -1,4 +1,4 @@
-"""Rates and intensity follow force, classes keep their time grids, and periods fit the board."""
+"""Rates and intensity follow force, classes keep their pulse times, and periods suit the board."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The gate refuses sequences beyond a limit; its ramp permits each planned strength."""
+"""The gate refuses sequences beyond a limit; planned intensities never exceed its ramp."""
 
 import dataclasses
 from types import SimpleNamespace

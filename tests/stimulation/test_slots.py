@@ -1,4 +1,4 @@
-"""Shared slots keep limits and bounds, and stimulate points as strongly as separate slots do."""
+"""Shared slots stay within limits, and stimulate points as strongly as separate slots do."""
 
 import numpy as np
 import pytest

@@ -142,7 +142,7 @@ class BoardWithHost:
 
 
 def anodic(limits, level_ua, intensity, time_ns, sites):
-    """Return a scan with an anodic slot for each site, against all other electrodes."""
+    """Return a scan with an anodic slot for each site; all other electrodes are cathodes."""
     currents = np.full((len(sites), limits.electrodes), level_ua // (limits.electrodes - 1))
     currents[np.arange(len(sites)), sites] = 0
     currents[np.arange(len(sites)), sites] = -currents.sum(axis=1)

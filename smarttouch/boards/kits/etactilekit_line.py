@@ -174,8 +174,8 @@ class ETactileKitLine:
     def _answers(
         self, query: bytes, *attempts: tuple[bytes, float], then: tuple[bytes, ...] = ()
     ) -> Iterator[bytes]:
-        """Yield the first byte of the answer to each attempt. An attempt (bytes, s) sends the bytes
-        and waits, to resynchronize the parser. Then it sends ``then`` and ``query``."""
+        """Yield the first byte of the answer to each attempt, given as (bytes, time in s). Send the
+        bytes, wait for this time to resynchronize the parser, and send ``then`` and ``query``."""
         for data, pause_s in attempts:
             self.line.write(data)
             self.line.pause(pause_s)
