@@ -259,9 +259,8 @@ class Profile(Table):
 
         Notes
         -----
-        All electrodes get the smallest threshold, smallest comfort level, smallest current limit
-        and largest impedance that an electrode of this profile has. Masks, wiring, electrode
-        calibrations and command defaults are removed.
+        Electrodes get this profile's smallest threshold, comfort level and current limit, and its
+        largest impedance. Masks, wiring, electrode calibrations and command defaults are removed.
 
         Examples
         --------

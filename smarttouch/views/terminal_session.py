@@ -88,8 +88,7 @@ def run_in_terminal(
             config,
             force=force,
             listeners=[
-                # The page comes before the screen, so that the page's address is printed first.
-                *([] if page is None else [page]),
+                *([] if page is None else [page]),  # prints its address before the screen starts
                 shown,
                 *listeners,
                 operation,
