@@ -16,7 +16,7 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import Profile, load_profile
 from smarttouch.reading.legibility import LineDelivery, legibility_of_shapes
 from smarttouch.reading.letter_shapes import Shapes
-from smarttouch.reading.material import ReadingMaterial
+from smarttouch.reading.reading_input import ReadingMaterial
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 from tests.pages.printed import degrade, print_page
 

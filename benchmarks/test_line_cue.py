@@ -19,7 +19,7 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.pages.prepared_page import find_lines
 from smarttouch.reading.legibility import LineDelivery, legibility_of_shapes
 from smarttouch.reading.letter_shapes import Shapes
-from smarttouch.reading.material import ReadingMaterial
+from smarttouch.reading.reading_input import ReadingMaterial
 from smarttouch.sources.virtual_finger import FingerPath, PageSource
 from tests.pages.printed import degrade, print_page, some_lines
 

@@ -43,9 +43,9 @@ from smarttouch.physiology.membrane import weiss_fit as weiss_fit
 from smarttouch.reading.braille_lines import Braille as Braille
 from smarttouch.reading.letter_shapes import Shapes as Shapes
 from smarttouch.reading.line_source import ReadingSource as ReadingSource
-from smarttouch.reading.material import ReadingMaterial as ReadingMaterial
-from smarttouch.running.check_recording import assert_replays as assert_replays
-from smarttouch.running.check_recording import check_recording as check_recording
+from smarttouch.reading.reading_input import ReadingMaterial as ReadingMaterial
+from smarttouch.running.replay_check import assert_replays as assert_replays
+from smarttouch.running.replay_check import check_recording as check_recording
 from smarttouch.views.figure_style import ANODIC as ANODIC
 from smarttouch.views.figure_style import CATHODIC as CATHODIC
 from smarttouch.views.figure_style import GREY as GREY

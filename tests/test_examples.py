@@ -15,7 +15,7 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
 LONG = (
     "activating_function", "array_study", "braille_page", "electric_mouse",
-    "frequency_discrimination", "irregular_array", "own_kernels", "paper_effects", "read_a_page",
+    "frequency_discrimination", "irregular_array", "design_kernels", "paper_effects", "read_a_page",
     "strength_duration",
 )  # fmt: skip
 """Slow scripts, which run only when the gallery of the documentation is built."""

@@ -32,8 +32,8 @@ from smarttouch.physiology.membrane import (
     load_driving,
 )
 from smarttouch.profile import Profile, load_profile
+from smarttouch.views.printable_output import print_table
 from smarttouch.views.progress import progress
-from smarttouch.views.terminal_output import print_table
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

@@ -19,7 +19,7 @@ from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel, middle_90
 from smarttouch.profile import Profile, load_profile
-from smarttouch.views.terminal_output import print_table
+from smarttouch.views.printable_output import print_table
 
 Array = NDArray[np.float64]
 Row = tuple[str, str, str]

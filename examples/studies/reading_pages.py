@@ -43,7 +43,7 @@ from smarttouch.reading.legibility import (
 )
 from smarttouch.reading.letter_shapes import Shapes, shape_line
 from smarttouch.reading.line_source import LineMotion, TouchLine
-from smarttouch.reading.material import ReadingMaterial
+from smarttouch.reading.reading_input import ReadingMaterial
 from smarttouch.reading.recognition import recognized_lines
 from smarttouch.running.config import RunConfig
 

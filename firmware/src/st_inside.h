@@ -162,7 +162,7 @@ void st_sha256_add(st_sha256 *hash, const uint8_t *data, size_t size);
 /* Write the first 16 bytes of the hash. */
 void st_sha256_end(st_sha256 *hash, uint8_t digest[ST_IDENTITY_BYTES]);
 
-/* st_kernels.c */
+/* st_kernel_table.c */
 #define ST_LOAD_HEAD (ST_IDENTITY_BYTES + 8u) /* of a payload of KERNELS */
 void st_keep_take(st_board *board, const uint8_t *payload, uint32_t size);
 /* Compute what shows the host of this session that the whole table is here. */

@@ -20,7 +20,7 @@ from smarttouch.cli.live import live, replay, stop
 from smarttouch.cli.options import Commands, option
 from smarttouch.cli.read import braille, braille_display, read
 from smarttouch.cli.simulate import simulate
-from smarttouch.views.terminal_output import guarded_output
+from smarttouch.views.printable_output import guarded_output
 
 _COMMANDS: dict[str, Callable[..., object] | typer.Typer] = {
     "live": live, "stop": stop, "read": read, "braille": braille,

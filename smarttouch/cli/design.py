@@ -16,7 +16,7 @@ from smarttouch.cli.options import (
     parse_afferent,
     require_site,
 )
-from smarttouch.views.terminal_output import print_table
+from smarttouch.views.printable_output import print_table
 
 if TYPE_CHECKING:
     from smarttouch.kernels.kernel_tables import WordTable

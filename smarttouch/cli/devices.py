@@ -14,7 +14,7 @@ from smarttouch.cli.options import (
     require_site,
 )
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board
-from smarttouch.views.terminal_output import print_table
+from smarttouch.views.printable_output import print_table
 
 if TYPE_CHECKING:
     from smarttouch.base.events import Event

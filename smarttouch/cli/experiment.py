@@ -22,7 +22,7 @@ from smarttouch.cli.options import (
     read_form,
     takes_options,
 )
-from smarttouch.views import terminal_output
+from smarttouch.views import printable_output
 from smarttouch.views.keys_and_signals import drives_a_board
 
 if TYPE_CHECKING:
@@ -237,7 +237,7 @@ def fit(
 def _print(fitted: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
     from smarttouch.experiments.findings import threshold_rows
 
-    console = terminal_output.console(highlight=False)
+    console = printable_output.console(highlight=False)
     for table, findings in fitted:
         console.print(f"{table.name}{', ' * bool(table.unit)}{table.unit}", style="bold")
         compares = any(finding.answers.standard for finding in findings)
@@ -245,7 +245,7 @@ def _print(fitted: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
             [finding for finding in findings if not finding.verdict], compares
         )
         if rows:
-            terminal_output.print_table(rows, heading, left=0)
+            printable_output.print_table(rows, heading, left=0)
         if table.cut:
             console.print("the last line of this file is incomplete and is ignored", style="dim")
         for finding in findings:

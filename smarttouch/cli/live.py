@@ -15,7 +15,7 @@ from smarttouch.cli.options import (
     takes_options,
 )
 from smarttouch.views.keys_and_signals import drives_a_board
-from smarttouch.views.terminal_output import print_table
+from smarttouch.views.printable_output import print_table
 
 
 @takes_options
@@ -118,8 +118,8 @@ def _check(file: Path, profile: str | None) -> None:
     """Print the result of the comparison; exit with status 1 if sequences differ."""
     from smarttouch.kernels.bank import load_bank
     from smarttouch.profile import load_profile
-    from smarttouch.running.check_recording import check_recording
     from smarttouch.running.recording import RecordedRun
+    from smarttouch.running.replay_check import check_recording
     from smarttouch.views.progress import bank_progress
 
     chosen = RecordedRun(file).profile if profile is None else load_profile(profile)

@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError, choice_of, require_within
 from smarttouch.base.files import require_folder
-from smarttouch.views.terminal_output import draws
+from smarttouch.views.printable_output import draws
 
 if TYPE_CHECKING:
     from smarttouch.profile import Profile

@@ -159,7 +159,7 @@ def read(
     """
     from smarttouch.imaging.array_window import profile_for_reading
     from smarttouch.reading.line_source import ReadingSource
-    from smarttouch.reading.material import ReadingMaterial
+    from smarttouch.reading.reading_input import ReadingMaterial
     from smarttouch.views.progress import first_line_awaited
 
     run_profile = run.load_profile()
@@ -221,7 +221,7 @@ def braille(
     from smarttouch.braille.brf import format_brf
     from smarttouch.braille.code_tables import open_table
     from smarttouch.reading.braille_lines import document_cells
-    from smarttouch.reading.material import ReadingMaterial
+    from smarttouch.reading.reading_input import ReadingMaterial
 
     if tables:
         _print_tables()
@@ -269,7 +269,7 @@ def _print_cells(lines: list[str]) -> None:
 def _print_tables() -> None:
     from smarttouch.braille import louis
     from smarttouch.braille.code_tables import DEFAULT_TABLE, known_tables
-    from smarttouch.views.terminal_output import print_table
+    from smarttouch.views.printable_output import print_table
 
     version = louis.version()
     print_table(

@@ -52,10 +52,10 @@ def simulate_page(
     from smarttouch.profile import load_profile
     from smarttouch.reading.legibility import LineDelivery, legibility_of_shapes
     from smarttouch.reading.letter_shapes import Shapes
-    from smarttouch.reading.material import ReadingMaterial
+    from smarttouch.reading.reading_input import ReadingMaterial
     from smarttouch.running.config import RunConfig
+    from smarttouch.views.printable_output import print_table
     from smarttouch.views.progress import bank_progress, progress
-    from smarttouch.views.terminal_output import print_table
 
     chosen = profile_for_reading(load_profile(profile))
     notes: list[str] = []
@@ -102,8 +102,8 @@ def study(
         study_sums,
         study_table,
     )
+    from smarttouch.views.printable_output import print_table
     from smarttouch.views.progress import bank_progress, progress
-    from smarttouch.views.terminal_output import print_table
 
     asked = load_study(plan)
     with (

@@ -1,6 +1,6 @@
 """Images of rendered text under the array, for reading without an optical sensor."""
 
-from smarttouch.imaging.registration import PIXELS_PER_CELL
+from smarttouch.imaging.sensor_registration import PIXELS_PER_CELL
 from smarttouch.profile import Profile
 
 FEWEST_ROWS = 4  # fewest rows on which letters can be distinguished

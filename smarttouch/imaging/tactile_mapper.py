@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ScheduleError
 from smarttouch.base.tactile_image import Frame, TactileImage
-from smarttouch.imaging.registration import Registration
+from smarttouch.imaging.sensor_registration import Registration
 from smarttouch.profile import Profile
 
 LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper

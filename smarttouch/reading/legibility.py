@@ -27,7 +27,7 @@ from smarttouch.physiology.spikes import (
 from smarttouch.profile import Profile
 from smarttouch.reading.letter_shapes import ALPHABET, draw_letter, require_rows, shape_line
 from smarttouch.reading.line_source import LineMotion, ReadingSource, TouchLine
-from smarttouch.reading.material import ReadingMaterial
+from smarttouch.reading.reading_input import ReadingMaterial
 from smarttouch.reading.recognition import BLOCK, recognize, recognized_lines
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display

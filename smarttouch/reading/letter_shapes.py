@@ -18,12 +18,12 @@ from smarttouch.imaging.array_window import (
     rows_of,
     usual_speed_mm_s,
 )
-from smarttouch.imaging.registration import PIXELS_PER_CELL
+from smarttouch.imaging.sensor_registration import PIXELS_PER_CELL
 from smarttouch.imaging.tactile_mapper import TactileMapper, Tone
 from smarttouch.pages.prepared_page import PreparedPage
 from smarttouch.profile import Profile
 from smarttouch.reading.line_source import LineMotion, TouchLine
-from smarttouch.reading.material import ReadingMaterial
+from smarttouch.reading.reading_input import ReadingMaterial
 from smarttouch.reading.recognition import Note, recognized_lines
 from smarttouch.sources.source_contract import Frame
 

@@ -5,7 +5,7 @@ import numpy as np
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import ScheduleError
 from smarttouch.base.tactile_image import TactileImage
-from smarttouch.imaging.registration import on_frame
+from smarttouch.imaging.sensor_registration import on_frame
 from smarttouch.imaging.tactile_mapper import TactileMapper
 from smarttouch.sources.source_contract import Frame
 

@@ -15,12 +15,12 @@ def replays() -> Callable[..., None]:
     """Return a function that fails unless a replay reproduces all recorded sequences exactly.
 
     Call it with the path of a recording, and options of
-    `smarttouch.running.check_recording.check_recording`.
+    `smarttouch.running.replay_check.check_recording`.
     """
 
     def assert_it_replays(path: str, **same: object) -> None:
         __tracebackhide__ = True
-        from smarttouch.running.check_recording import assert_replays
+        from smarttouch.running.replay_check import assert_replays
 
         assert_replays(path, **same)
 

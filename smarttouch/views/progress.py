@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
-from smarttouch.views import terminal_output
+from smarttouch.views import printable_output
 
 _LINE_S = 10.0
 Advance = Callable[[int, int], None]  # called with the number of completed items and their total
@@ -28,9 +28,9 @@ def progress(title: str = "Reading lines") -> Iterator[Advance]:
         nonlocal bar, printed_s
         now_s = time.monotonic()
         if bar is None:
-            bar = Progress(console=terminal_output.console(stderr=True), transient=True)
+            bar = Progress(console=printable_output.console(stderr=True), transient=True)
             bar.add_task(title)
-        if terminal_output.draws(bar.console):
+        if printable_output.draws(bar.console):
             # Show the bar only when the first progress is reported.
             bar.start()
             bar.update(bar.task_ids[0], completed=done, total=total)
@@ -48,5 +48,5 @@ def progress(title: str = "Reading lines") -> Iterator[Advance]:
 
 def first_line_awaited(wait: Callable[[], object]) -> None:
     """Show a message until the first line of a text is ready."""
-    with terminal_output.console(stderr=True).status("Preparing the text"):
+    with printable_output.console(stderr=True).status("Preparing the text"):
         wait()

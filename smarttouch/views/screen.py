@@ -23,7 +23,7 @@ from rich.text import Text
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.events import Advice, Event
 from smarttouch.running.step import FirstPulse, Listener, RunContext, StepResult
-from smarttouch.views import terminal_output
+from smarttouch.views import printable_output
 from smarttouch.views.character_pictures import MOST_ROWS, ArrayPicture, Row, image_rows
 from smarttouch.views.keys_and_signals import Output, Terminal
 
@@ -52,9 +52,9 @@ class Screen(Listener):
     ) -> None:
         super().__init__()
         self._url = url
-        self._console = terminal_output.console()
-        self._errors = terminal_output.console(stderr=True)
-        self._plain = plain or not terminal_output.draws()
+        self._console = printable_output.console()
+        self._errors = printable_output.console(stderr=True)
+        self._plain = plain or not printable_output.draws()
         self._title = ""
         self._early: list[str] | None = []  # lines to print once the board is open
         self._latest: StepResult | None = None
@@ -168,7 +168,7 @@ class Screen(Listener):
             if (failure := self._outputs[0].failure) is not None:
                 self._outputs[0].failure = None
                 # Raise the same error as a direct write to standard output.
-                raise terminal_output.write_failure(failure, "standard output")
+                raise printable_output.write_failure(failure, "standard output")
         except (OSError, SmartTouchError) as failure:
             self._failure = self._failure or failure
 

@@ -9,8 +9,8 @@ from PIL import Image
 from scipy.io import wavfile
 
 from smarttouch.base.errors import PageError, ScheduleError, SmartTouchError, SourceError
-from smarttouch.running.check_recording import assert_replays, check_recording
 from smarttouch.running.recording import RecordedRun
+from smarttouch.running.replay_check import assert_replays, check_recording
 
 from .conftest import refused, says
 

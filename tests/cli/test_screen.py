@@ -169,7 +169,7 @@ def test_where_there_is_no_image_the_activation_is_drawn(shown, profile, bank):
 def test_where_nothing_is_drawn(monkeypatch, terminal, dumb, asked, plain):
     monkeypatch.setenv("TERM", "dumb" if dumb else "xterm")
     console = Console(file=io.StringIO(), force_terminal=terminal)
-    monkeypatch.setattr("smarttouch.views.terminal_output.console", lambda **_: console)
+    monkeypatch.setattr("smarttouch.views.printable_output.console", lambda **_: console)
     run = SimpleNamespace(source=SimpleNamespace(title="a\nb"), profile=SimpleNamespace(title="p"))
     screen = Screen("emulator:", plain=asked)
     screen.event(Paused(1_500_000_000))

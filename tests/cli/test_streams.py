@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from smarttouch.base.files import data_folder
-from smarttouch.running.check_recording import check_recording
 from smarttouch.running.recording import RecordedRun
+from smarttouch.running.replay_check import check_recording
 
 from ..support.full import sample
 from ..support.processes import PROGRAM, Forked

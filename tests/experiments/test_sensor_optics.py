@@ -16,7 +16,7 @@ from smarttouch.experiments.sensor_optics import (
     target_for,
     uncorrected,
 )
-from smarttouch.imaging.registration import Registration
+from smarttouch.imaging.sensor_registration import Registration
 from smarttouch.profile import load_profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 

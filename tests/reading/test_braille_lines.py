@@ -26,7 +26,7 @@ from smarttouch.reading.braille_lines import (
     document_cells,
 )
 from smarttouch.reading.legibility import LineDelivery, deliver_pulses
-from smarttouch.reading.material import ReadingMaterial
+from smarttouch.reading.reading_input import ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions
 
 from ..support.checks import raises

@@ -19,10 +19,10 @@ from mcap.reader import make_reader
 from smarttouch.base.errors import RecordingError
 from smarttouch.base.events import Note
 from smarttouch.running import recorder as module
-from smarttouch.running.check_recording import check_recording
 from smarttouch.running.recorder import Recorder
 from smarttouch.running.recording import RecordedRun
 from smarttouch.running.recording_format import SCHEMAS
+from smarttouch.running.replay_check import check_recording
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.source_contract import Frame
 

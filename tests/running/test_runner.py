@@ -16,8 +16,8 @@ from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.kernels.bank import load_bank
 from smarttouch.plugins import ForceSource
 from smarttouch.profile.profile_tables import Calibrated
-from smarttouch.running.check_recording import check_recording
 from smarttouch.running.config import RunConfig
+from smarttouch.running.replay_check import check_recording
 from smarttouch.running.runner import Runner
 from smarttouch.sources.force import open_force
 from smarttouch.types import Mode

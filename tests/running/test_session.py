@@ -13,8 +13,8 @@ import pytest
 
 import smarttouch as st
 from smarttouch.base.errors import BoardError, SmartTouchError
-from smarttouch.running.check_recording import assert_replays
 from smarttouch.running.recording import RecordedRun
+from smarttouch.running.replay_check import assert_replays
 from smarttouch.running.step import OnEvent, OnStep
 
 from ..support.checks import raises

@@ -11,7 +11,7 @@ from PIL import Image
 import smarttouch
 from smarttouch.base.errors import SmartTouchError, SourceError
 from smarttouch.profile import load_profile
-from smarttouch.running.check_recording import assert_replays
+from smarttouch.running.replay_check import assert_replays
 from smarttouch.sources import open_source, source_of, source_url
 from smarttouch.sources.serial_sensors import encode_frame
 from smarttouch.sources.source_contract import (

@@ -79,7 +79,7 @@ def test_the_scale_is_the_inverse_of_the_registration(profile, changed, degrees,
         {"optics.rotation_deg": degrees, "optics.sensor_columns": 80, "optics.sensor_rows": 50},
     ).optics
     turn = math.radians(degrees)
-    # Convert a page point to a pixel with the formula of `smarttouch.imaging.registration`.
+    # Convert a page point to a pixel with the formula of `smarttouch.imaging.sensor_registration`.
     column = (x_mm * math.cos(turn) - y_mm * math.sin(turn)) * 80 / optics.field_width_mm
     row = (x_mm * math.sin(turn) + y_mm * math.cos(turn)) * 50 / optics.field_height_mm
     back = page_per_pixel(optics, (50, 80)) @ [column, row]

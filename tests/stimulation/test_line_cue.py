@@ -9,7 +9,7 @@ import smarttouch as st
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ScheduleError
 from smarttouch.profile import load_profile
-from smarttouch.running.check_recording import assert_replays
+from smarttouch.running.replay_check import assert_replays
 from smarttouch.sources.source_contract import Frame
 from smarttouch.sources.virtual_finger import FingerPath, PageSource
 from smarttouch.stimulation.line_cue import LineCueMapper

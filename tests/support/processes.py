@@ -34,7 +34,7 @@ _IMPORTED = (
     "smarttouch.emulator.etactilekit_firmware", "smarttouch.emulator.kajimoto61_firmware",
     "smarttouch.emulator.link_firmware", "smarttouch.experiments.calibration",
     "smarttouch.reading.braille_lines", "smarttouch.reading.letter_shapes",
-    "smarttouch.running.check_recording",
+    "smarttouch.running.replay_check",
     "smarttouch.running.recorder", "smarttouch.sources.virtual_finger",
     "smarttouch.views.terminal_session", "smarttouch.views.window",
 )  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import ProfileError
-from smarttouch.imaging.registration import Registration
+from smarttouch.imaging.sensor_registration import Registration
 from smarttouch.profile import list_profiles, load_profile
 
 from ..support.checks import raises

@@ -12,7 +12,7 @@ from smarttouch.pages.prepared_page import print_text
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille_lines import Braille
 from smarttouch.reading.letter_shapes import Shapes
-from smarttouch.reading.material import ReadingMaterial, parse_pages
+from smarttouch.reading.reading_input import ReadingMaterial, parse_pages
 from smarttouch.reading.recognition import RecognitionOptions
 
 from ..support.checks import raises

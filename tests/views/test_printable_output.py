@@ -4,8 +4,8 @@ import io
 import sys
 import unicodedata
 
-from smarttouch.views import terminal_output
-from smarttouch.views.terminal_output import PlainStream, printable
+from smarttouch.views import printable_output
+from smarttouch.views.printable_output import PlainStream, printable
 
 OBEYED = (
     *range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F),
@@ -59,7 +59,7 @@ def test_a_console_draws_and_shows_nothing_else(monkeypatch):
     monkeypatch.delenv("NO_COLOR", raising=False)
     screen = Screen()
     monkeypatch.setattr(sys, "stdout", PlainStream(screen, "standard output"))
-    console = terminal_output.console(highlight=False)
+    console = printable_output.console(highlight=False)
     table = Table(EVIL, title=EVIL)
     table.add_row("[red]:smile:[/nothing]", Text(EVIL, "bold"))
     for each in (EVIL, table, Panel(EVIL, title=EVIL), Text(EVIL, "red")):
@@ -75,7 +75,7 @@ def test_a_console_draws_and_shows_nothing_else(monkeypatch):
 
 def test_a_sentence_at_the_left_leaves_room_beside_it(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    terminal_output.print_table(
+    printable_output.print_table(
         [("many words " * 9, "beside", "them")], ["effect", "paper", "fingers"]
     )
     printed = capsys.readouterr().out
