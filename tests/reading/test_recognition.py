@@ -115,7 +115,8 @@ def test_words_go_to_their_strips(program, spotted):
 
 
 def test_a_program_may_end_while_tesseract_works(program, tmp_path):
-    program(f"touch {tmp_path}/started; exec sleep 60")
+    # The pause lets a busy computer register the function that kills Tesseract at exit.
+    program(f"sleep 0.5; touch {tmp_path}/started; exec sleep 60")
     lines = [
         "import atexit, pathlib, threading, time, numpy as np",
         "from smarttouch.reading.recognition import recognize",
