@@ -3,7 +3,7 @@ Two intervals and an answer
 ===========================
 
 Which of two gaps is wider? A session raises the intensity once, and keeps it for up to 15 s without
-pulses, so that the subject can answer. `show` raises an error if intensity falls during a pattern.
+pulses, so that the subject can answer. `show` raises an error if the finger is lifted meanwhile.
 """
 
 import csv

@@ -30,7 +30,7 @@ _GOOD_ERROR = 0.03
 """Error below which no further values of `_BLOCKS` are tried."""
 _WORTHWHILE = 0.8
 """A value of `_BLOCKS` replaces the best value so far only if its error is less than this share of
-the smallest error so far."""
+the error of that value."""
 _TOLERANCE = 0.05
 """Error up to which the soft L1 loss is nearly quadratic; for larger errors it is nearly linear."""
 _STIFFNESS = 0.1
@@ -128,7 +128,7 @@ def _weights(features: Array, threshold_ma: Array, start: Array, block: float) -
 
 
 def _features(fiber: Fiber, potential_mv: Array, reach: int) -> Array:
-    """Return second differences of potentials at M nodes, (C, M, W); W weights make drives."""
+    """Return second differences, (C, M, W). Their weighted sum is the drive of each of M nodes."""
     bends = potential_mv @ bend_operator(fiber.end, potential_mv.shape[1]).T
     count, size = bends.shape
     padded = np.pad(bends, ((0, 0), (reach, reach)))

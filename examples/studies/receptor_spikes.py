@@ -54,7 +54,7 @@ def skin_spikes(
     trace: Trace,  # displacement and force of the probe
     place_mm: tuple[float, float] = (0.0, 0.0),  # center of the probe
     radius_mm: float = PROBE_MM,  # radius of the probe
-    seed: int = 1,  # seed of what is random: thresholds, and which cycles cause no spike
+    seed: int = 1,  # seed of thresholds, of SAI rates and phases, and of cycles without a spike
     sai_full_n: float = SAI_FULL_N,  # force at which the drive of SAI is 1
     sai_rate_hz: float = SAI_RATE_HZ,  # rate of SAI at this force
 ) -> SkinSpikes:

@@ -13,7 +13,7 @@ pytest_plugins = ["tests.fixtures"]
 
 @pytest.fixture
 def start_firmware():
-    """Return a function that starts the C core and returns its process and its pseudo-terminal."""
+    """Return a function that starts the C core and returns its process and its port's name."""
     from firmware.tests.build import host
     from tests.support.processes import share_priority
 

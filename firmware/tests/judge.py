@@ -1,7 +1,7 @@
 """Model of what a ``link`` board must refuse, written only from ``firmware/PROTOCOL.md``.
 
-The model stores each pass, and uses 50 ms buckets only to decide how long a pass counts. The C core
-and the Python emulator do not store passes, but sums for each bucket.
+The model and the Python emulator store each pass, and use 50 ms buckets only to decide how long a
+pass counts. The C core does not store passes, but sums for each bucket.
 """
 
 import struct

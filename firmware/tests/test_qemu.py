@@ -200,8 +200,8 @@ class F405(Machine):
         )  # fmt: skip
 
     def until_zero(self, least_us=0):
-        """Wait until all electrodes are shorted and the last packet is ``least_us`` old. Return the
-        model of the registers."""
+        """Wait until pulses were delivered, and all electrodes were shorted ``least_us`` or more
+        after the last packet. Return the model of the registers."""
         for _ in range(600):
             model = self.registers()
             pulses, silent_us = model.zeros[-1] if model.zeros else (0, 0)

@@ -92,7 +92,7 @@ def uninterrupted() -> Iterator[None]:
 
 
 def interrupt(error: BaseException) -> None:
-    """Raise an error from a signal handler. Within an `uninterrupted` block, wait for its end."""
+    """Raise an error from a signal handler, or at the end of the current `uninterrupted` block."""
     global _pending
     if not _writes:
         raise error

@@ -322,7 +322,7 @@ class Board:
 
     @property
     def budget_ua(self) -> int:
-        """Largest total current of this board, µA; 0 if no finger can touch the board."""
+        """Largest total current, µA, that counts toward the user's total; 0 without a finger."""
         return self._limits.total_ua if self.on_a_finger else 0
 
     # -- sending -----------------------------------------------------------

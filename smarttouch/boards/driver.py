@@ -148,7 +148,7 @@ class Line:
     name : str
         Name of the connected port.
     reopened : bool
-        Whether the connection was lost. If so, `connect` waits until the same device is back.
+        Whether the connection was lost. If so, `connect` waits for the device for `RECOVER_S`.
     now_ns : callable
         Returns the time by the board's clock.
     identity : UsbIdentity or None

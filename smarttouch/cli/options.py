@@ -80,7 +80,7 @@ def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
 def read_form(
     form: Callable[..., Any], text: str, error: type[SmartTouchError], but: Collection[str] = ()
 ) -> tuple[str, dict[str, Any]]:
-    """Parse ``NAME?OPTIONS`` into name and options. The parameters of ``form`` are the options."""
+    """Parse ``NAME?OPTIONS`` into name and options: parameters of ``form`` that have a default."""
     from smarttouch.base.urls import options_of, read_options
 
     name, accepted = read_options(form, text, error, but)

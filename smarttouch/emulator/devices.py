@@ -44,7 +44,7 @@ _FULL_WAIT_S = 0.0005  # pause between attempts to write the rest of a message
 def emulate(url: str, advise: bool = False) -> None:
     """Emulate the device that a URL names, or replay a recorded device from a file.
 
-    Print the name of the port; with ``advise``, print instructions that contain the name. Options
+    Print the name of the port; with ``advise``, print instructions for an emulated device. Options
     in the URL are parameters of `emulate_board` or `emulate_sensor`."""
     if (recording := file_at(url)) is not None:
         with closing(Replay(recording)) as replay:
@@ -74,9 +74,9 @@ def emulate_board(
 ) -> None:
     """Emulate a board on a model of the skin.
 
-    End after Ctrl-C, or when no host has been connected for ``linger`` seconds. ``output`` and
-    ``ramp_ms``, the time from zero to full intensity, apply to link boards only; ``firmware``
-    applies to the eTactileKit only. With ``tcp``, the port is a TCP port. The module `skin`
+    End when no host has been connected for ``linger`` seconds; without ``linger``, after Ctrl-C.
+    ``output`` and ``ramp_ms``, the shortest time from zero to full intensity, apply to link boards
+    only; ``firmware`` applies to the eTactileKit only. With ``tcp``, the port is a TCP port. `skin`
     describes the text of an ``event``. ``books`` is an existing folder for the delivery log."""
     default, least, largest = BOARDS[name]
     electrodes = default if electrodes is None else electrodes
@@ -108,7 +108,7 @@ def emulate_sensor(
     force: float = 0.5,
     linger: float = math.inf,
 ) -> None:
-    """Emulate a sensor until Ctrl-C, or until no host has been connected for ``linger`` seconds.
+    """Emulate a sensor until no host has been connected for ``linger`` seconds, or until Ctrl-C.
     ``rate`` is in Hz; ``force``, N, acts on an emulated load cell."""
     rate_hz = SENSORS[name] if rate is None else rate
     require_within(SmartTouchError, "rate", rate_hz, 0.01, 2000.0)

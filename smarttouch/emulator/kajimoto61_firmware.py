@@ -4,7 +4,7 @@ The firmware checks nothing, and waits forever for the rest of an incomplete pac
 is too large for a byte wraps around. From power-on until the first STIMULATE, the firmware tests
 its current source without driving an electrode; meanwhile it answers MEASURE. A STIMULATE of zeros
 causes no pulse. After the test, the D/A converter keeps the test's last value until the next pulse.
-A pulse of STIMULATE then has this value at first, until the converter has loaded the right one."""
+If STIMULATE causes it, it begins with this value, until the converter has loaded the right one."""
 
 from collections import deque
 from dataclasses import dataclass, field

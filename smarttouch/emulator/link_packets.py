@@ -47,7 +47,7 @@ class BoardSession:
         self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // protocol.ALIVE_MS)
         """For each of the last ALIVE packets: its time, ns, and its number."""
         self._hellos: dict[int, tuple[int, int]] = {}
-        """For each host: number of its last HELLO or BEGIN, and how many HELLO packets it sent."""
+        """For each host: number of its last HELLO or BEGIN; HELLO packets answered since BEGIN."""
 
     def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the next packet of the board in the session."""

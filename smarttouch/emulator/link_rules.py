@@ -1,7 +1,7 @@
 """Rules of the ``link`` board, in the order of ``firmware/PROTOCOL.md``, computed in integers.
 
-The rules limit each sequence and the ramp. They also limit the pulses and the charges within one
-second and within one session. Times are on the board's clock, in µs; charges are in pC."""
+The rules limit each sequence, the ramp, pulses and charges within one second, and time and charges
+of one session. Times are on the board's clock, in µs; charges are in pC."""
 
 from collections import deque
 from copy import copy

@@ -123,7 +123,8 @@ class ProfileFile:
 
 def file_to_calibrate(
     part: str,  # name of the calibration
-    # initial profile; an existing output must equal it, except for results of calibrations
+    # initial profile; an existing output must equal it, except for name, title, command defaults
+    # and results of calibrations
     start: str | None,
     fallback: str,  # initial profile if `start` is None
     output: Path,
@@ -184,7 +185,7 @@ class ContactFound:
     """Contact of each electrode with the skin."""
 
     kohm: NDArray[np.float64]  # (E,): median impedance; infinite if open
-    # (E,): robust standard deviation; NaN if the electrode was measured only once, or was ever open
+    # (E,): robust standard deviation; NaN after one measurement, or if an impedance was infinite
     spread_kohm: NDArray[np.float64]
     # (E,): condition in the majority of measurements; ``unsure`` without a majority
     condition: tuple[Condition, ...]

@@ -122,7 +122,7 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
         return none(f"{success} in 0 of {total} answers: a threshold can only be above {high:.4g}")
     share = successes / total
     if len(counts.stimulus) == 1:
-        why = f"{success} in {share:.0%} of {total} answers; all trials had comparison {low:.4g}"
+        why = f"{success} in {share:.0%} of {total} answers, all of them at comparison {low:.4g}"
         return none(f"{why}: test several comparisons")
     found = fit(counts, model, answers.standard)
     if _chance_of_flat(found, _guessing(answers, model)) > FLAT:
@@ -284,7 +284,7 @@ def discrimination_figure(series: Sequence[Series]) -> "Figure":
 
 def _draw_shares(axes: Any, finding: Finding, unit: float, color: str, label: str) -> None:
     """Draw the fitted curve, the interval of the threshold, and a dot for each share of successes.
-    A dot is larger if there are more answers. The abscissa is the stimulus divided by ``unit``."""
+    Dots become larger with more answers, up to 10. The abscissa is the stimulus over ``unit``."""
     stimulus, n, k = finding.counts
     size = 8 + 2 * np.minimum(n, 10)
     axes.scatter(stimulus / unit, k / n, size, color=[color], label=label, lw=0, zorder=3)

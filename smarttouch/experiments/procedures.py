@@ -134,7 +134,7 @@ def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
 
 
 _COARSE_FACTOR, _COARSE_REVERSALS = 2.0, 2  # our choice
-"""Until a staircase has `_COARSE_REVERSALS` reversals, its steps are larger by `_COARSE_FACTOR`."""
+"""Until reversal `_COARSE_REVERSALS`, steps of a staircase are `_COARSE_FACTOR` times as large."""
 _REVERSALS = 14  # number of reversals that ends a staircase
 _PINNED_TRIALS = 4
 """A staircase stops after this number of successive steps that would leave the range."""

@@ -55,7 +55,7 @@ class Parameters(NamedTuple):
 
 class Bounded(NamedTuple):
     """Estimate and its credible interval. An undetermined end of the interval is infinite. On a
-    logarithmic axis, an undetermined lower end is 0."""
+    logarithmic axis, an undetermined lower end is 0; for a Weber fraction, it is -1."""
 
     value: float
     low: float
@@ -158,8 +158,8 @@ class Fit:
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Estimates, (1,) each. `middle` follows from the posterior median of the threshold. The
-        other estimates are posterior means; for `spread`, of its logarithm."""
+        """Estimates, (1,) each. `middle` follows from the posterior median of the threshold.
+        `spread` is the geometric posterior mean. The other estimates are posterior means."""
         _, spread, lapse, guess = self.functions
         spread = np.exp([self.weights @ np.log(spread)])
         middle = self._quantiles(self.model.level)[0] - ndtri(self.model.level) * spread
@@ -211,7 +211,7 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
 
 
 def _refined(values: Array, weights: Array) -> Array:
-    """Return a finer grid: as many values, spread evenly where weights exceed `_NEGLIGIBLE`."""
+    """Return as many values, spread evenly over the part in which weights exceed `_NEGLIGIBLE`."""
     some = np.flatnonzero(weights > _NEGLIGIBLE)
     low, high = values[max(some[0] - 1, 0)], values[min(some[-1] + 1, len(values) - 1)]
     return np.linspace(low, high, len(values))

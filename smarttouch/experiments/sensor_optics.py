@@ -105,7 +105,8 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
 
 
 def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
-    """Correct half of the frames with a flat field from the other half. Return their unevenness."""
+    """Return the unevenness of corrected white frames. If there are several, correct half of them
+    with a flat field from the other half."""
     if min(len(dark), len(white)) > 1:
         field = FlatField.measure(dark[::2], white[::2])
         white = white[1::2]

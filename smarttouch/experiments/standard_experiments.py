@@ -43,7 +43,7 @@ PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
 _NARROWEST_RATIO = 1.01  # smallest ratio of comparison to standard in adaptive procedures
 _START_RATIO = 1.6  # first ratio of comparison to standard in a staircase
 _STEP = 0.03
-"""Relative step down in a frequency staircase: small against the difference threshold, 20 %."""
+"""Relative step down in a frequency staircase: small against 20 %, the threshold for vibration."""
 LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
 """Levels of the detection experiment, relative to the profile's threshold (our own choice)."""
 _DETECTION_STEP = 0.05  # step down in a detection staircase, relative to the comparison
@@ -246,7 +246,9 @@ def softness(setup: Setup) -> Trials:
 
 CATALOG = {
     "frequency": Experiment("which train is faster? (paper, III-C)", frequency, ADAPTIVE, 1.0),
-    "detection": Experiment("is a pulse train felt? (result: current, mA)", detection, ADAPTIVE),
+    "detection": Experiment(
+        "is a pulse train felt? (result: threshold current, mA)", detection, ADAPTIVE
+    ),
     "discomfort": Experiment(
         "when is a rising current strong enough? (result: current, mA)", discomfort, (LIMITS,), 10.0
     ),

@@ -153,7 +153,7 @@ def study_letters(
     """Return the scan sequences of all letters for each mode, scan and intensity of the study.
 
     If kernels must be designed, `progress` is called with two counts: sites designed so far, and
-    sites to design.
+    all sites to design.
     """
     bank = load_bank(profile, progress)
     return [
@@ -208,7 +208,7 @@ def run_study(
     study: Study,
     beside: Path,  # folder to which file names in the study are relative
     folder: Path,  # folder of the results; created if missing
-    designing: Advance | None = None,  # called with two counts: designed sites, sites to design
+    designing: Advance | None = None,  # called with two counts: designed sites, all sites to design
     progress: Advance | None = None,  # called with two counts: simulated fingers, all fingers
 ) -> list[StudyRow]:
     """Run or resume a study, write ``rows.csv``, and return its rows.

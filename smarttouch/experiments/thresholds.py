@@ -53,7 +53,7 @@ _REACTION, _HURRIED, _CEILING = (
 def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
     """Return a copy of a profile, with comfort levels as high as the device's limits allow.
 
-    The safety limits do not change, and currents do not rise faster in mA/s. Comfort levels
+    The safety limits do not change, and the largest slope in mA/s does not grow. Comfort levels
     stay ``spare_ma`` below the limits of charge and total current, as a margin for rounding.
     """
     full_ma, limits = float(profile.full_ma.max()), profile.limits
@@ -314,7 +314,7 @@ def sentence(found: Found) -> str:
     spread = float(np.median([site_result.spread for site_result in usable]))
     unusable = sorted(site for site, site_result in found.items() if not site_result.usable)
     return (
-        f"{len(usable)} electrodes measured with a rising current; median threshold "
+        f"{len(usable)} electrodes with usable results from a rising current; median threshold "
         f"{np.median(threshold):.2f} mA ({threshold.min():.2f} to {threshold.max():.2f}), median "
         f"comfort level {np.median(comfort):.2f} mA ({comfort.min():.2f} to {comfort.max():.2f}), "
         f"median spread of the threshold at one electrode {spread:.1%}, "

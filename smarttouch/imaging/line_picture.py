@@ -29,7 +29,7 @@ class Raster:
 
     def mean(self, spread: Callable[[Floats], Floats]) -> Floats:
         """Return the mean at each pixel. ``spread`` blurs the sums and the numbers of values before
-        the division. Pixels without values are 0."""
+        the division. Pixels that no value reaches, even by the blur, are 0."""
         total, count = spread(self.value), spread(self.count)
         return np.divide(total, count, out=np.zeros_like(total), where=count > 1e-6)
 

@@ -117,7 +117,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
 def on_frame(
     x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], optics: Optics
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Convert places to fractions of frame width and height. Places behind the camera give NaN."""
+    """Convert places on the page to fractions of frame width and height; NaN behind the camera."""
     if optics.homography is None:
         turn = math.radians(optics.rotation_deg)
         cos, sin = math.cos(turn), math.sin(turn)

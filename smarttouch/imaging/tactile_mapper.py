@@ -15,7 +15,7 @@ from smarttouch.profile import Profile
 
 LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper
 LEAST_GRAINS = 4.0  # smallest contrast of print, relative to the contrast of the paper's grain
-PALE = 0.3  # contrast of the paper's grain is always below this, relative to white paper
+PALE = 0.3  # a spot with at least this contrast, relative to white paper, is never paper grain
 BLURRED = 0.3
 """A pixel is ink only if its contrast, relative to white paper, is above this limit. In a frame
 whose largest contrast is below 0.5, the limit is 0.6 times this largest contrast instead."""

@@ -221,7 +221,7 @@ def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
 
 def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int) -> Array:
     """Return one sample for each driven cycle: the sample at which the real part of ``turning``
-    crosses zero upward. A gap of at most ``gap`` undriven samples does not end a stretch of driven
+    crosses zero upward. Fewer than ``gap`` undriven samples in a row do not end a stretch of driven
     samples."""
     turns = (np.unwrap(np.angle(turning)) + math.pi / 2) / (2 * math.pi)
     full_turns = np.floor(turns).astype(np.int64)

@@ -214,7 +214,8 @@ _DECIMALS = 6
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """Small array of a site and its neighbors. Sites with equal or mirrored neighbors share it."""
+    """Small array of a site and its neighbors. Sites whose neighbors are arranged alike, perhaps
+    mirrored or turned, share it."""
 
     profile: Profile  # profile with the electrodes of the tile; number 0 is the site of the kernel
     # indices of the tile's electrodes in the complete array, (N,), for each site

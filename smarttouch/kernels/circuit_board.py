@@ -78,7 +78,8 @@ def drawing(profile: Profile) -> bytes:
 
 
 def _electrodes(profile: Profile) -> tuple[list[_Pad], tuple[float, float]]:
-    """Return the electrodes as pads, and half the width and half the height of their board, mm."""
+    """Return the electrodes as pads, and half the width and half the height, mm, of a board that
+    has only electrodes."""
     array, places = profile.electrodes, profile.electrodes.position_mm
     if any(shape == "point" for shape, _ in array.kinds):
         raise ProfileError("point electrodes have no copper: set shape and size", key="array.shape")

@@ -109,7 +109,7 @@ class LinearProgram:
     the costs in ``ties``, (O,) each, decide in turn: each keeps those with the smallest Σ cost·|w|.
     The program is solved with some of its rows, then again with rows that were violated.
     ``worst`` chooses the rows to add from the excess of each row, (N,); by default, it chooses all
-    violated rows. If a solved program ``after`` is given, start with its rows; t is at least 0.
+    violated rows. With a solved program ``after``, start with its rows and require t ≥ 0.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class LinearProgram:
         rows: ProgramRows,  # (N, O)
         slope: Array,  # (N,) 1 if the upper bound of rows·w is t, else 0
         bound: Array,  # (N,) upper bound of rows·w; 0 if the upper bound is t
-        aims: Array,  # (S, O) aims·w is at least 1 for each row, and exactly 1 for a single row
+        aims: Array,  # (S, O) aims·w is at least 1 for each row; it is exactly 1 if S is 1
         size: Array,
         ties: Sequence[Array],
         worst: Chooser | None = None,
@@ -279,7 +279,7 @@ class LinearProgram:
         return self._worst_of(chosen, excess)
 
     def _store_near(self, excess: Array) -> None:
-        """Store violated and nearly violated rows. Later rounds check them before the others."""
+        """Store violated and nearly violated rows. Later rounds check them before all rows."""
         near = np.flatnonzero(excess > -_NEAR)
         if len(near) > _MOST_NEAR:
             near = near[np.argpartition(excess[near], -_MOST_NEAR)[-_MOST_NEAR:]]

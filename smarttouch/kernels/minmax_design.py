@@ -6,9 +6,9 @@ of A are the AF at all nodes of other classes. The paper's program (Eq. 10 to 18
     minimize t   such that   A w ≤ t,   a·w = 1,   Σw = 0
 
 The AF at all other nodes of the target's axon is at most 1 (Eq. 11). Spill, the activation of the
-same class elsewhere, is at most `SPILL`. The paper has no such bound. Without it, neighbors of the
-same class would nearly fire on a grid. The design takes the pattern with the least spill among
-those whose t exceeds the minimum by at most the fraction `GIVEN_UP`.
+same class more than a pitch away, is at most `SPILL`. The paper has no such bound. Without it,
+neighbors of the same class would nearly fire on a grid. The design takes the pattern with the least
+spill among those whose t exceeds the minimum by at most the fraction `GIVEN_UP`.
 """
 
 import numpy as np
@@ -55,7 +55,7 @@ def design_kernel(
     if spill is None:
         ways = [False]
     else:
-        # PC kernels rarely keep the spill bound, so try the program without this bound first.
+        # PC kernels rarely keep the spill bound: first minimize the larger of off-target and spill.
         ways = [True, False] if problem.afferent is Afferent.PC else [False, True]
     program = rows.program(ways[0], options)
     best = program.most_selective()

@@ -288,7 +288,7 @@ class Certainty:
     reached: Array
     rounding: Array  # (2, N) largest increase of an activation by rounding; rows as in `reached`
     target: Array  # (N,) smallest value, over targets, of activation / (level · intensity)
-    lost: Array  # (N,) largest share of a target's requested level that rounding takes away
+    lost: Array  # (N,) largest value, over targets, of activation lost by rounding / level
     total_ua: float  # largest increase of a slot's total current by rounding
 
     @classmethod

@@ -174,7 +174,7 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
     return pdf
 
 
-_STAMP = 100  # so many rotated characters, or fewer, may be a stamp: the page is not turned
+_STAMP = 100  # a page is turned only if more characters have its commonest rotation
 _LEVEL = 10.0  # angle to the horizontal or vertical, degrees, above which text is slanted
 _FINE = 1000.0  # PDFium returns integer coordinates: request them in 1/1000 point
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")

@@ -308,7 +308,7 @@ def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     off = bottom - polynomial.polyval(x - left, curve)
     above = off < -_NEAR[0] * height - _NEAR[1]
     if above.mean() > _UNDECIDED:
-        # The curve follows the descenders, because many letter bottoms are above it. Raise it.
+        # Many letter bottoms are above the curve, so it follows the descenders. Raise it.
         curve[0] += np.median(off[above])
     base = polynomial.polyval(x - left, curve)
     rise = base - top

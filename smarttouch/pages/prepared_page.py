@@ -302,7 +302,7 @@ def _ends(lines: list[Baseline], components: Components) -> list[tuple[float, fl
 
 
 _SAME = 0.15  # largest relative difference between x-heights of one font size
-_CAPITALS = 0.08  # in a line of capitals, largest share of letters much taller than the x-height
+_CAPITALS = 0.08  # in a line of capitals, largest share of letters much taller than the others
 _CAPITAL = 1.42  # height of a capital, in x-heights
 _ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
 """Plausible ranges of ascent and descent, in x-heights."""

@@ -214,7 +214,7 @@ def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
 def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
     """Return the mean width of the lines in the narrower column, relative to the smallest width
     of prose. Columns of prose have at least 1. Return 0 for a table or few rows. Return infinity
-    if the file stores one column after the other, as files of prose do."""
+    if the file stores one column after the other."""
     ends = [_text(row)[:1] + _text(row)[-1:] for row in right]
     if all(map(str.isdigit, ends)) or all(_text(row).endswith(":") for row in left):
         return 0.0  # a table: the right column has only numbers, or the left only labels

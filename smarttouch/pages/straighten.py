@@ -15,7 +15,7 @@ _SIDE_PX = 480  # longer side of the image for sheet detection
 _LEAST_PART = 0.2  # smallest share of a photograph that a sheet covers
 _LARGEST_PART = 0.97  # if a sheet covers a larger share of a picture, the picture is a scan
 _LOG_STEPS = (0.1, 0.15, 0.25, 0.4, 0.7)
-"""Steps of log gray level at edges. Low steps find faint edges. High steps ignore shadows."""
+"""Smallest steps of log gray level at edges. Low limits find faint edges, high ones no shadows."""
 _LEAST_FILLED = 0.93  # smallest share of a sheet's quadrilateral that is bright
 _LEAST_STEP = 25.0  # smallest drop of the gray level from sheet to background at a visible edge
 _LEAST_SIDES = 3  # smallest number of visible edges; one edge may be outside the photograph

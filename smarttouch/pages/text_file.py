@@ -53,7 +53,8 @@ _KINDS = {
     rb"\s*\{.*\"(?:nbformat|cells)\"\s*:": "a notebook (Jupyter)",
     rb"\xd0\xcf\x11\xe0": "an old or locked Office document, or an Outlook mail",
 }
-"""Formats by byte patterns. A name without spaces is pandoc's. A name with spaces is rejected."""
+"""Formats by byte patterns. A name without spaces is pandoc's. Files of other formats are rejected,
+except a .txt file that does not start with PK."""
 _OBJECT = re.compile(rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>", re.DOTALL)
 _DROPPED = {
     "headers and footers of its pages are left out": rb"<w:(?:hdr|ftr)\b.*?<w:t\b|"
@@ -155,7 +156,7 @@ def _kind_and_format(path: Path) -> tuple[FileKind, str]:
 
 
 def _repacked(path: Path) -> tuple[bytes, list[bytes]]:
-    """Copy a ZIP file so that pandoc drops no text. Return the copy and the original contents."""
+    """Copy a ZIP file, so that pandoc drops less text; return the copy and the old contents."""
     try:
         with zipfile.ZipFile(path) as packed:
             if sum(member.file_size for member in packed.infolist()) > MOST_UNPACKED_BYTES:

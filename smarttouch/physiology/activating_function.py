@@ -344,8 +344,8 @@ def _field_of_kinds(
     field = Field(*np.zeros((len(Field._fields), len(position_mm), len(electrodes))))
     scale = 1.0
     for (shape, size_mm), which in electrodes.kinds.items():
-        # An ElectrodeArray has at least two electrodes. If only one has this shape, add a second
-        # electrode, and drop its column from the result.
+        # An ElectrodeArray has at least two electrodes. If only one has this shape and size, add a
+        # second electrode, and drop its column from the result.
         places = electrodes.position_mm[which]
         if len(which) == 1:
             places = np.vstack([places, places + electrodes.pitch_mm])

@@ -84,7 +84,7 @@ class Axon:
     half a step of the membranes. Each part is solved exactly. Gates are half a step ahead of
     potentials. The fiber continues beyond the last node, in a field without curvature. Arguments
     are those of `threshold_ma`; for C fields, potentials are (C, N). There are P nodes with the
-    padding. `push`, (P,) or (C, P) mV, is the change of their potentials in a step with 1 mA.
+    padding. `push`, (P,) or (C, P), is what 1 mA adds to their membrane potentials in a step, mV.
     """
 
     def __init__(self, potential_mv_per_ma: ArrayLike, fiber: Fiber, step_us: float) -> None:
@@ -259,7 +259,7 @@ class DrivingFunction:
     internode_mm: float
     end: End  # kind of ending, as in `Fiber`
     along: Array  # (K + 1,) 1/mV: weight of a node, then of its 1st to Kth neighbors on both sides
-    near_end: Array  # (H, L) 1/mV: weights of the first H drives, instead of `along`; H may be 0
+    near_end: Array  # (H, L) 1/mV: weights of the first H drives, not `along`; empty for "through"
     # A node stops a passing spike if its hyperpolarizing drive is at least `block` times the drive
     # of the node that fired. `block` is infinite if no node stops spikes.
     block: float = np.inf

@@ -215,7 +215,7 @@ class Feeling:
     finger: Finger
     spikes: tuple[Spikes, ...]  # one for each sequence
     active: NDArray[np.bool_]  # (E,) electrodes that were requested to stimulate
-    # classes that the steps stimulate; all classes if the input is or contains a ScanSequence
+    # requested classes; all classes if the input is or contains a ScanSequence
     wanted: tuple[Afferent, ...]
 
     @cached_property

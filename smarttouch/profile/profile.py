@@ -247,8 +247,8 @@ class Profile(Table):
         ----------
         table : path or array-like, (E, 2) or (E, 3), mm, or GridLayout
             Positions, right and down, in the order of the board's outputs, and optionally diameters
-            (default: 1 mm). A CSV file has the columns ``x_mm``, ``y_mm``, ``diameter_mm``. A
-            grid shows the area of the page that this array shows, magnified to the grid's size.
+            (default: 1 mm). A CSV file has the columns ``x_mm``, ``y_mm``, ``diameter_mm``. For
+            a grid, the part of the page that a frame shows is magnified to the grid's width.
         title : str
             Description of the device that is shown to users.
 

@@ -60,9 +60,9 @@ class SettledLevels:
     def note(
         self, time_ns: int, mode: str, level: float, force_n: float, observed: Sequence[Any] = ()
     ) -> str:
-        """Process a step. ``observed`` has the sequences that were measured in the step, each with
-        its voltages, (S,) V. If the mode has changed, and there is a level to offer in the new
-        mode, return a sentence that offers this level. Otherwise, return ""."""
+        """Process a step. ``observed`` has the sequences measured since the previous step, each
+        with its voltages, (S,) V. If the mode has changed, and there is a level to offer in the
+        new mode, return a sentence that offers this level. Otherwise, return ""."""
         begins = mode != self._asked[0] and mode in self.offered
         for sequence, volts in observed:
             peak_ua = np.abs(sequence.current_ua.astype(np.float64)).max(axis=1, initial=1)

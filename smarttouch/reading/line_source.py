@@ -38,8 +38,8 @@ class TouchLine:
     """A line of letter shapes or Braille cells, at the size of the array."""
 
     image: NDArray[np.uint8]  # (H, W), dark on white, as high as the array
-    start_mm: float  # distance of the array's center from the image's left edge, when motion begins
-    end_mm: float  # the same distance, when the end of the line is reached
+    start_mm: float  # x of the array's center when motion begins; 0 is the image's left edge
+    end_mm: float  # x of the array's center when the end of the line is reached
     text: str = ""
     cells: str = ""
 

@@ -11,7 +11,7 @@ import numpy as np
 from smarttouch.pages.page_image import TextLine
 from smarttouch.reading.recognition import Note
 
-_GAP = 1.35  # smallest line distance before a new paragraph, relative to the page's median distance
+_GAP = 1.35  # from this line distance on, relative to the median, a paragraph begins
 _LARGER = 1.2  # lines with a larger ratio of x-heights differ in size of print
 _INDENT = 0.8  # smallest indent of a paragraph, in x-heights
 _SAME_ROW_MM = 0.5  # largest vertical offset between lines that are side by side

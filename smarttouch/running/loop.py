@@ -49,8 +49,8 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, checked_input
 
 HELD_UP_NS = 1_000_000
-"""If a send waits longer than this for the board, the loop postpones all later deadlines by the
-wait. The wait is the duration of the send minus its processor time."""
+"""If a send waits longer than this, but less than `LATE_NS`, for the board, the loop postpones all
+later deadlines by the wait. The wait is the duration of the send minus its processor time."""
 _LATE_AGAIN_NS = 5_000_000_000  # within this time after a late sequence, others are not reported
 
 LOG = logging.getLogger("smarttouch.run")
@@ -312,9 +312,9 @@ class Loop:
     """Loop that delivers the inputs of a source to an open board, one sequence after another.
 
     The loop reads the source at each deadline. The next deadline is one sequence period later, so
-    inputs never queue. If the loop is late, it postpones all later deadlines. Statistics are
-    updated at each step, so they are complete after a fault. Listeners also receive steps whose
-    sequences did not reach the board.
+    inputs never queue. If the loop is late by more than a period, it postpones all later deadlines.
+    Statistics are updated at each step, so they are complete after a fault. Listeners also receive
+    steps whose sequences were late, or were lost with the board.
     """
 
     def __init__(

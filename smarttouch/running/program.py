@@ -43,7 +43,7 @@ STEADY = 0.98  # a level counts as reached at this share of the level
 SILENT_US = 20_000  # period of sequences without current, and of weak pulses while the ramp rises
 _FAINT = 0.01  # activation of the first pulses of a ramp, near the detection threshold
 _POLL_S = 0.01  # interval at which a waiting thread checks whether it was canceled
-_IDLE_S = 0.045  # longest time between sequences of `put` while no current flows
+_IDLE_S = 0.045  # longest time between sequences of `put` while its pattern is empty or stale
 
 Pattern = NDArray[Any] | Frame | TactileImage
 """Activation (E,) or (3, E), an image (H, W), a frame, or a tactile image."""
@@ -227,7 +227,7 @@ class Program(Source, Listener):
         least : float, in [0, 1]
             Share of the requested intensity below which the pattern ends with an error.
         exact : bool
-            Whether the pattern ends with an error when force or the user's level lowers intensity.
+            If true, any decrease of force or the user's level ends the pattern; else only to zero.
 
         Raises
         ------
@@ -282,8 +282,8 @@ class Program(Source, Listener):
             lost = result.number is None or result.step.restarted or (asked == 0 and not exact)
             if lost or sequence.intensity < least * asked:
                 raise LevelNotReachedError(
-                    f"intensity fell after {sequences} sequences of the pattern: the finger was "
-                    "lifted, the session was paused, or the connection to the board was lost"
+                    f"sequence {sequences} of the pattern was too weak or lost: check the finger, "
+                    "the user's level, pauses, the computer's load, and the board's connection"
                 )
         board, board_us = self._context.board, None
         if first is not None and (start := board.start_of(first)) is not None:
@@ -298,7 +298,7 @@ class Program(Source, Listener):
 
         Parameters
         ----------
-        seconds : float, s, by the clock of the run
+        seconds : float, s, in the time of the run
         until : callable, optional
             Function that returns true to end the wait; called 50 times a second.
         """

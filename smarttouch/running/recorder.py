@@ -26,7 +26,7 @@ from smarttouch.running.recording_format import (
 )
 from smarttouch.running.step import Listener, RunContext, StepResult
 
-CHUNK_S = 1.0  # longest time until a step is on disk; a killed program loses at most this time
+CHUNK_S = 1.0  # longest time until a step is on disk, apart from delays of the disk
 MOST_WAITING = 1000  # largest number of steps waiting for the disk
 
 

@@ -91,7 +91,7 @@ def check_recording(
     if not report.sequences:
         raise RecordingError(f"{path} has no sequences: there is nothing to check")
     if not recording.whole:
-        report.left_out = report.left_out or "the end of the recording is missing"
+        report.left_out = report.left_out or "the recording is cut or damaged"
     return report
 
 

@@ -87,8 +87,8 @@ class RunStatistics:
     off_target: float = 0.0
     """Largest off-target activation in slots with several points."""
     spill: float = 0.0
-    """Largest spill in slots with several points: activation of the target's class outside of the
-    target, relative to that of the target."""
+    """Largest spill in slots with several points: activation of the targets' class, farther than
+    a pitch from every target, relative to that of the weakest target."""
     kernels: KernelBank | None = None
     """Kernel bank of the run."""
     modes: set[Mode] = field(default_factory=set)
@@ -164,7 +164,7 @@ class RunStatistics:
     def complete(
         self, source: Source, board: Board, report: BoardReport | None, ended: str
     ) -> None:
-        """Set all figures of a run; figures from the board's report are None after a fault."""
+        """Set all figures of a run; those from the board's report are None without a report."""
         other, spill = self.selectivity or (None, None)
         first_pulse, waited = (
             spread.figures() if spread.count else None for spread in (self.first_pulse, self.waited)
@@ -232,7 +232,7 @@ class Sent:
     taken_ns: int  # capture time of the image
     deadline_ns: int
     elapsed_ns: int  # time of the run at the deadline
-    waited_ns: int  # time that the send waited for space on the board; 0 if it was short
+    waited_ns: int  # time that the send waited for space on the board; 0 unless 1 to 100 ms
     sent_ns: int
     period_ns: int
     ahead_ns: int  # time by which the board's clock is ahead of the loop's

@@ -269,9 +269,9 @@ def _warnings(profile: Profile, bank: KernelBank, mode: Mode) -> Iterator[str]:
 
 
 def _account(report: BoardReport | None, dose: Dose) -> list[str]:
-    """Return two sentences: the counts of what was delivered, and the dose of the session."""
+    """Return two sentences: the counts of what was delivered, if known, and the session's dose."""
     return [
-        "the board sent no report after the stop: what it delivered is unknown"
+        "no report arrived from the board after the stop: what it delivered is unknown"
         if report is None
         else f"counted by the {report.by}: {report.slots} slots, pulses of at most "
         f"{report.max_current_ma:.3f} mA and {report.max_charge_uc:.3f} µC, {report.violations} "

@@ -1,5 +1,5 @@
 """Videos and image folders as sources. A read returns the image that is due at this
-time, or each image in turn."""
+time, or, if ``unpaced``, the next image."""
 
 import contextlib
 import itertools

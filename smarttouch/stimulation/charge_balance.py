@@ -54,10 +54,11 @@ class ChargeBalance:
     def balancing(self, sequence: ScanSequence) -> ScanSequence:
         """Return a sequence or its reversal, whichever leaves the smaller Σ (net charge)².
 
-        Use this for boards of both polarities without recharge phases; else use `add_recharge`. The
-        reversal has opposite currents at the same sites, and keeps the same limits. **The reversal
-        stimulates another class**: reversed currents for RA stimulate SAI, and vice versa (paper,
-        Fig. 10). The reversal has no proof of selectivity. `charge_pc` does not change.
+        Use this for boards of both polarities that cannot make recharge phases. If a board can make
+        them, use `add_recharge`. The reversal has opposite currents at the same sites, and keeps
+        the same limits. **The reversal stimulates another class**: reversed currents for RA
+        stimulate SAI, and vice versa (paper, Fig. 10). The reversal has no proof of selectivity.
+        `charge_pc` does not change.
         """
         if self.charge_uc @ (net_charge_pc(sequence) * 1e-6) <= 0:
             return sequence

@@ -45,7 +45,7 @@ def probe_sequences(
     driven = np.tile(sites, len(turns))
     returns = [back for turn in turns for back in np.roll(sites, -turn)[:, None]]
     if not in_pairs:
-        # Some return electrodes carry 1 µA more than others, because currents are integers. Begin
+        # The first return electrodes of a list can carry 1 µA more, as currents are integers. Begin
         # each list after the driven electrode, so that the slots differ in these electrodes.
         returns = [np.roll(sites, -at)[1:] for at in range(len(sites))]
     slot_us = max(PROBE_US + _DISCHARGE_US, int(np.ceil(PROBE_US / limits.duty))) + _SWITCHING_US

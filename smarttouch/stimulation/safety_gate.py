@@ -26,8 +26,8 @@ PLANNED_KEPT_NS = LEVEL_KEPT_NS - 1_000_000_000
 """Longest pause without current, ns, after which plans do not restart at zero intensity. The value
 is below `LEVEL_KEPT_NS`, because a sequence is written some time after it is planned."""
 FIRST_NS = 20_000_000
-"""Time, ns, in which the ramp rises from zero to the first strength that the scheduler plans. If
-all currents round to zero at this strength, the scheduler plans a larger strength."""
+"""Time, ns, in which the ramp rises from zero to the first strength above zero that the scheduler
+plans. If all currents round to zero at this strength, the scheduler plans a larger strength."""
 MOST_STEP_NS = 80_000_000
 """Time, ns, in which the ramp rises as much as strength may rise from one plan to the next."""
 AHEAD_NS = 85_000_000
@@ -56,8 +56,8 @@ class Ramp:
     The ramp has a level. It rises only while passes with current are delivered, and never above the
     strength of these passes (see `sequence_limits.strength_ppb`). The rise from zero to full takes
     at least ``ramp_ns``. The strength of a sequence may exceed the level by as much as the ramp
-    rises in `LATE_NS`, so that late sequences can catch up. If the intensity of a sequence is below
-    the level, the level falls to this intensity. After a pause without current of over
+    rises in `LATE_NS`, so that late sequences can catch up. If a sequence has current, and its
+    intensity is below the level, the level falls to it. After a pause without current of over
     `LEVEL_KEPT_NS`, the level is zero. Without a ``clock``, the times of the sequences are used.
     """
 
@@ -117,9 +117,9 @@ class Ramp:
             return min(PPB, risen_ppb, open_ppb + AHEAD_NS * PPB // self._ramp_ns) / PPB
 
     def permits(self, strength_ppb: int, claimed_ns: int, open_ppb: int | None = None) -> bool:
-        """Return whether a sequence of this strength may begin now. The strength may exceed the
-        ramp's level by as much as the ramp rises in `LATE_NS`. ``open_ppb`` is the ramp's level,
-        without this excess, if the caller knows it."""
+        """Return whether a sequence of this strength may begin now. The first one after a restart
+        must have no current. Later, strength may exceed the ramp's level by its rise in `LATE_NS`.
+        ``open_ppb`` is the ramp's level, without this excess, if the caller knows it."""
         with self.lock:
             most_ppb = LEEWAY_PPB
             if self._begun:
@@ -128,9 +128,9 @@ class Ramp:
             return strength_ppb <= most_ppb
 
     def note(self, ppb: int, strength_ppb: int, claimed_ns: int, lasting_ns: int) -> None:
-        """Record a written sequence. If the ramp's level is above the intensity ``ppb``, it falls
-        to ``ppb``. Then it rises during the passes (``lasting_ns``), at most to
-        ``strength_ppb``."""
+        """Record a written sequence. If it has current, and the ramp's level is above its
+        intensity ``ppb``, the level falls to ``ppb``. Then the level rises during the passes
+        (``lasting_ns``), at most to ``strength_ppb``."""
         with self.lock:
             # The board finishes the running pass of the old sequence and drops its other passes.
             now_ns, open_ppb = self.open_at(claimed_ns)

@@ -43,7 +43,7 @@ from smarttouch.stimulation.slots import FrameSlots, PointSlots, Slots, constant
 WINDOW_US = 1_100_000
 """Length, µs, of the window in which the scheduler limits net charge. The limit is for 1 s, but a
 board that counts time in tenths of a second can include the charge of up to 1.1 s."""
-GUARD_PC = 0.95 * NET_PC  # largest planned net charge of any number of successive passes
+GUARD_PC = 0.95 * NET_PC  # periods keep the net charge of the last n passes in a window below this
 _MEAN_PC = PLANNED * NET_PC
 _FREE_PC = NET_PC / 2
 _MOST_PC = 0.99 * NET_PC
@@ -324,10 +324,10 @@ class ScanScheduler:
 
         The requested period is extended if the slots do not fit. Zero intensity gives no slots.
         Intensity is lowered until strength (`strength_ppb`) is at most ``allowed``, in [0, 1]. If
-        all currents then round to zero, larger strengths are tried, up to the strength that the
-        ramp reaches from zero in `MOST_STEP_NS`. The SAI rate follows pressure. If the image has a
-        period, each active class pulses once per period. Raises ScheduleError if the limits do not
-        allow the sequence, or if a class cannot be stimulated.
+        all currents then round to zero and ``allowed`` is not zero, larger strengths are tried, up
+        to the strength that the ramp reaches from zero in `MOST_STEP_NS`. The SAI rate follows
+        pressure. If the image has a period, each active class pulses once per period. Raises
+        ScheduleError if the limits do not allow the sequence, or a class cannot be stimulated.
         """
         if image.period_us is None:
             due, self.asked_us = self._rates.due(image.time_ns, pressure)

@@ -159,7 +159,7 @@ def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, i
 
 
 def _prove_vibration(vibration: NDArray[np.float32], intensity: float, electrodes: int) -> None:
-    """Raise SafetyError unless the vibration of each site is between 0 and the intensity."""
+    """Raise SafetyError unless each electrode has a vibration between 0 and the intensity."""
     if vibration.shape != (electrodes,):
         raise refusal("vibration", len(vibration), electrodes)
     # Convert to double precision, the type of the intensity. NaN fails the comparison.

@@ -247,7 +247,7 @@ class PointSlots:
             self._full = np.asarray(PER_UA * magnitude.max(axis=1), np.float32)
         self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
         self._range = 1 - self._faintest
-        # Sites below this level get no slot. With one source, some currents would round to zero.
+        # Sites below this level get no slot: with one source, their currents could round to zero.
         self._weakest_level = np.zeros(count, np.float32)
         if profile.output.kind != "weighted":
             least_ua = np.where(magnitude > 0, magnitude, np.inf).min(axis=1)

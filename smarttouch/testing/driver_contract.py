@@ -67,7 +67,7 @@ def assert_same_pulses(
     found: Sequence[SentPulse], wanted: Sequence[SentPulse], step_ua: float, step_us: float
 ) -> None:
     """Fail unless pulses are as planned, rounded to the steps of the device, and sum to zero."""
-    assert len(found) == len(wanted), f"{len(found)} pulses were sent, {len(wanted)} were permitted"
+    assert len(found) == len(wanted), f"{len(found)} pulses were sent, {len(wanted)} were planned"
     for number, (pulse, plan) in enumerate(zip(found, wanted, strict=True)):
         message = f"pulse {number} of {len(wanted)}: "
         assert abs(sum(pulse.current_ua)) <= step_ua / 2, message + "currents do not add up to zero"
@@ -142,11 +142,11 @@ class DriverContract:
     step_ua, step_us : float, µA, µs
         Steps to which the device rounds currents and times; rounded currents must sum to zero.
     keeps_order : bool
-        Whether slots are delivered in the order of the sequence; False if the device scans by
-        electrode number.
+        Whether slots are delivered in the order of the sequence, not by electrode number.
     counts_passes : bool
-        Whether the device counts passes; False if it repeats its scan until it receives another
-        command.
+        Whether the device counts passes; if False, it scans until it receives another command.
+    shows_recharges : bool
+        Whether `pulses` returns recharge phases, too, if the board can deliver them.
     instants : int
         Number of lines of the driver's code at which a stop is tested.
     made : Driver

@@ -295,13 +295,13 @@ class PageDrawing(DeliveredDrawing):
         self._sheet, self._sheets = sheet, dict[int, Sheet]()
 
     def watch(self, sent: StepResult) -> None:
-        """Record the step, and the page or line under the finger."""
+        """Record the page or line under the finger and, if sent with current, the step."""
         super().watch(sent)
         if (sheet := self._sheet()) is not None:
             self._sheets[sheet.number] = sheet
 
     def under(self) -> Under:
-        """Describe the area of all touched pages. Without pages, describe the electrodes' area."""
+        """Describe the area of all touched pages. Without pages, describe the touched area."""
         if not (self._sheets or self.poses):
             raise SmartTouchError("nothing to draw, as no pulse was delivered: raise the intensity")
         places_mm = [self.places_mm(pose) for pose in self.poses.values()]
@@ -366,7 +366,7 @@ class DeliveredPicture(Listener):
             self._drawing = PageDrawing(run.profile, run.bank, afferents, lambda: run.source.sheet)
 
     def step(self, result: StepResult) -> None:
-        """If a scan sequence was sent with current, record its period and the finger's pose."""
+        """Let the drawing record the step."""
         if self._drawing is not None:
             self._drawing.watch(result)
 

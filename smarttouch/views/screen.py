@@ -31,7 +31,7 @@ _REFRESH_S = 0.2
 _LEAST_REST = 20  # after a redraw, pause at least this many times as long as the redraw took
 _KEYS = "+ − intensity    0 off    space pause    m mode    q, Esc end"
 _ROOMY = 20  # in a terminal of at least this many rows, an event may take two rows
-_LEAST_PICTURE = 9  # smallest number of terminal rows for the pictures and their titles
+_LEAST_PICTURE = 9  # numbers are shown only if pictures and titles keep this many rows
 _NAME = 9
 _CLOSES_WITHIN_S = 1.0  # longest wait for the terminal at the end
 
@@ -225,7 +225,7 @@ class Screen(Listener):
         wide = max(len(title), *(sum(len(words) for words, _ in row) for row in pictured))
         beside = max(2, width - 3 - wide)
         merged = self._array.merged(beside, rows)
-        what = f"{sent.step.mode} electrodes" + f", {merged**2} electrodes per dot" * (merged > 1)
+        what = f"{sent.step.mode} electrodes" + f", up to {merged**2} per dot" * (merged > 1)
         drawn = self._array.draw(electrodes, beside, rows)
         # Add empty rows, so that the height is constant.
         for picture in (pictured, drawn):

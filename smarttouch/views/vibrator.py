@@ -38,7 +38,7 @@ class Vibrator(Listener):
         self._output: _WavFile | _SoundCard | None = None
         if target != "sound:" and (Path(target).suffix != ".wav" or "vibrators:" in str(target)):
             raise SmartTouchError(
-                f"{target} is not a vibrator: give a file such as pc.wav, or 'sound:' (sound card)"
+                f"{target} is no vibrator: give a WAV file such as pc.wav, or 'sound:' (sound card)"
             )
 
     def prepare(self, run: RunContext) -> None:

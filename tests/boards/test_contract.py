@@ -212,7 +212,7 @@ class TestETactileKit(OneAgainstAll):
 
     def test_the_time_to_zero_includes_the_bytes_of_zero(self, make_board):
         with make_board() as board:
-            # After its timeout of 100 ms, the watchdog sends zero: 10 bits per byte at 921,600 Bd.
+            # The watchdog begins to send zero within 100 ms: 10 bits per byte at 921,600 Bd.
             assert board.capabilities.kept_ms >= 100 + 10 * len(zero_anywhere(8)) / 921.6
 
 

@@ -137,7 +137,7 @@ def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, hal
     meeting.board.advance(meeting.clock.time_ns + 3_000_000_000)
     assert meeting.books.slots == slots
     assert meeting.books.state == "shorted"
-    # Allow three scans of 8 slots: the zero bytes may complete a command that causes pulses.
+    # Allow three scans of 8 slots: scans run until the stop; zeros may complete a command.
     assert slots - pulsed <= 24
     # 2.57 mA are 0x0101 counts, the height in the earlier program's incomplete command.
     assert meeting.books.max_current_ma <= 2.57

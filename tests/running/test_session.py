@@ -207,7 +207,8 @@ def test_the_displays_of_a_hand_begin_together(url):
     # The ramps of the displays overlap: each ramp begins before any other ramp ends.
     if url == "memory:":
         began_ns = [at.clock_ns for at in shown.values()]
-        assert max(began_ns) - min(began_ns) < 15_000_000
+        # A busy computer may delay a display by some periods of 20 ms. A ramp takes 500 ms.
+        assert max(began_ns) - min(began_ns) < 100_000_000
         rising = [
             [each for each in own if each < at.clock_ns]
             for own, at in zip(pulsed_ns, shown.values(), strict=True)

@@ -119,7 +119,7 @@ def ordinary(oracle, rng, clock_ns, time_ns, full=False):
 
 
 def opening(oracle, clock_ns, time_ns):
-    """Return a pulse with the largest strength that the ramp allows, and with least current."""
+    """Return the weakest pulse of the largest allowed strength; its period is `LATE_NS` or more."""
     bounds = oracle.bounds
     row = np.zeros((1, bounds.electrodes), np.int64)
     able = [site for site, most in enumerate(bounds.electrode_ua) if most]

@@ -25,7 +25,7 @@ AMONG = (
     "strong in a second", "mean in a second", "net in a second", "session time", "session charge",
 )  # fmt: skip
 """Names of the rules that depend on earlier sequences. Rules with "in a second" limit the number of
-sequences, the number of perceptible (strong) pulses, the mean current, and the net charge."""
+passes, the number of perceptible (strong) pulses, the mean current, and the net charge."""
 NAMES = ("types", "range", *RULES, *AMONG)
 
 

@@ -78,7 +78,7 @@ def test_claimed_time_rises():
 
 
 def test_the_first_is_silent():
-    # 1 pC is 500 ppb of a full pulse, so the strength is the intensity, but at most 2000 ppb.
+    # 1 pC is 500 ppb of a full pulse. The strength is the intensity, within 500 to 2000 ppb.
     strongest = Oracle(replace(FULL, full_ua=Fraction(10_000)))
     for ppb, broken in ((1_001, ["ramp"]), (1_000, [])):
         first = sequence(pair(1), width=1, intensity=intensity_of(ppb))

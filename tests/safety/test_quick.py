@@ -70,8 +70,8 @@ EDGES = [
     ("mean current", sequence(pair(2000, 24), width=200, **recharged(1, -1, 0, 0)), sequence(
         pair(2000, 25), width=200, **recharged(1, -1, 0, 0))),
 ]  # fmt: skip
-"""Rules, each with a sequence just within its limit, and one just beyond it. The first sequence
-keeps all rules, the second breaks only this rule."""
+"""Rules, each with a sequence that keeps all rules, and one that breaks only this rule. Most pairs
+are just within and just beyond a limit."""
 
 
 def broken(made, bounds=FULL):

@@ -215,7 +215,7 @@ def _advice(error: Exception) -> str:
     if "ioctl" in text:
         return "it is not a serial port: check the name"
     if "refused" in text:
-        return "no device answers at this address: check address and port, and switch the device on"
+        return "nothing listens at this address: check address and port, and switch the device on"
     if "No such file" in text or getattr(error, "errno", None) == 2:
         return (
             "there is no such port: check the cable and the name. BRLTTY may have claimed a board "

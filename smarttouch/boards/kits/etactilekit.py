@@ -61,7 +61,7 @@ class ScanLock:
     period_ns : int
         Period of the scans.
     last : Span or None
-        Earliest and latest start of scan 0; None if unknown. Scan 0 began in the newest bracket.
+        Earliest and latest start of scan 0; None if unknown. `learn` chooses scan 0.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -97,7 +97,7 @@ class ScanLock:
         )
 
     def learn(self, bracket: Span) -> None:
-        """Update `last` from an interval with a scan start, unless it may contain more than one."""
+        """Update `last` from an interval that contains the start of one scan; ignore others."""
         if self.last is None:
             if bracket.late - bracket.early <= WIDEST * self.period_ns:
                 self.last = bracket
@@ -388,7 +388,7 @@ class ETactileKitDriver(Driver):
         asked_ns, then = before
         rises, falls = (then < LOW) & (now >= HIGH), (then >= HIGH) & (now < LOW)
         if (rises | falls).any():
-            # The shortest slot has no pulse; its discharge is `SHORTEST_US` below the setting.
+            # Assume the shortest slot: no pulse, and a discharge `SHORTEST_US` below the setting.
             rest_us = max(0, settings.discharge_us - wire.SHORTEST_US)
             if self._firmware == "71adee2":
                 # This firmware answers only between scans. It has answered, so the scan is over.

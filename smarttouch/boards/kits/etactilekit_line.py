@@ -268,7 +268,7 @@ ENDS_WITHIN_S = 1.5  # longest wait until the watchdog has ended; its zero comma
 BYTES_PER_MS = 92  # bytes that a serial line of 921,600 Bd transmits in 1 ms
 KEPT_MS = 100.0  # the watchdog begins to write within this time after this program ends or hangs
 STALE_NS = int(0.8e9 * watchdog.SILENCE_S)
-"""Largest age of the last heartbeat, ns, at which this program still writes to the port. The
+"""Largest age of the last heartbeat, ns, at which this program still writes more than zeros. The
 watchdog begins to write later, at an age of `watchdog.SILENCE_S`."""
 COMMAND = [sys.executable, "-I", "-S", watchdog.__file__]
 """Command that starts the watchdog. Isolated mode ignores the settings and packages of the user,
@@ -333,7 +333,7 @@ class WatchedPort:
         """
         self._require_beat(b"")
         self._port.write(data)
-        # Write two zero commands: the board may take the first as the end of an incomplete command.
+        # If too late, write zero twice: the first may be read as the end of an incomplete command.
         self._require_beat(2 * self._zero)
         return len(data)
 

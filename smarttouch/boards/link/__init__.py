@@ -5,7 +5,7 @@ A packet is COBS-encoded and ends with one 0x00. Decoded, all little endian::
     u8  version = 5
     u8  type
     u32 number      counts the packets of one end in one session, from 1 on
-    u8  state       1 if the emergency switch of the board is open; else 0
+    u8  state       from the board: 1 if its emergency switch is open; else 0
     u64 session
     u32 heard       largest number that this end has received from the other, else 0
     u32 about       in SEQUENCE, ACK, NAK and VOLTAGES, number of the sequence; in an

@@ -35,7 +35,7 @@ SILENCE_S = 0.5  # silence after which a board is lost: in a session, boards sen
 LISTENED_S = 0.1  # one read counts as at most this silence: if it took longer, this computer paused
 ANSWER_S = 1.0
 ASKED_AGAIN_S = 0.25  # time after which a query is sent again
-PAUSED_S = 1.0  # for this time after a pause of this computer, a refusal is reported as its effect
+PAUSED_S = 1.0  # for this time after a pause of this computer, its silence is explained by it
 LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
 AFTER_ZERO_S = 0.02  # time after a confirmed stop in which no slot may follow: one period at 50 Hz
@@ -525,7 +525,8 @@ class LinkDriver(Driver):
         return replace(BoardReport(*counted), refused_packets=old + foreign, is_busy=bool(busy))
 
     def status(self) -> BoardReport:
-        """Return the board's report. If it reports more than this host sent, latch the board."""
+        """Return the board's report. Latch the board if it reports more slots or unsafe sequences
+        than this host sent, or a new maximum of current above the limits."""
         now, before, limits = self._last_report or self._ask_report(), self._report, self._limits
         largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
         for reported, allowed, unit in (
@@ -612,7 +613,7 @@ class LinkDriver(Driver):
         line.board.refused += 1
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             self._unsafe_refused += 1
-            # `Rule.RISE`: intensity rose too fast, by the board's clock. Restart at intensity 0.
+            # `Rule.RISE`: intensity would rise too fast, by the board's clock. Restart at 0.
             lost = line.lost(f"refused sequence {message.about} as unsafe: {words}")
             session.fail(lost if rule == Rule.RISE else BoardError(str(lost)))
         elif why == Refusal.STOPPED and not line.is_stopped:

@@ -93,8 +93,8 @@ def encode_scan(
         elif end - start > 1:
             raise BoardError(
                 f"{end} slots are more than this board accepts at once ({most_slots} slots, "
-                f"{most_bytes} bytes). A scan can be sent in parts, but a board cannot repeat it: "
-                "send the sequence once per period, with times=1"
+                f"{most_bytes} bytes). A board cannot repeat a scan that is sent in parts: send "
+                "the sequence once per period, with times=1"
             )
         else:
             raise BoardError(

@@ -102,7 +102,7 @@ def check(world, host, gone_ns, ending):
     order = [number for number, _, _ in books.kept]
     assert order == sorted(order), "an old sequence was delivered after a newer one"
     assert books.state == "shorted"
-    # The board accepts withheld frames until LATE_MS after its next ALIVE.
+    # The board refuses withheld frames at the latest LATE_MS after its next ALIVE.
     late_ms = SILENCE_MS + 1 + (LATE_MS + ALIVE_MS if ending == "withheld" else 0)
     last_us = max((time_us for *_, time_us in books.kept), default=0)
     assert last_us <= gone_ns / 1000 + 1000 * late_ms
