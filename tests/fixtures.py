@@ -131,7 +131,7 @@ def one_thread():
 
 @pytest.fixture(scope="session", autouse=True)
 def forked_emulators(one_thread):
-    """Fork the emulators of ``emulator:`` boards: a fork starts faster than a program."""
+    """Fork the emulator of each ``emulator:`` board of this process, because a fork is fast."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("smarttouch.emulator.drivers.subprocess", processes.forked_boards())
         yield
@@ -149,7 +149,7 @@ def safety_watch():
 
 @pytest.fixture
 def judges_books():
-    """Return True: the delivery logs of each test are checked. Some tests return False."""
+    """Return True: check the delivery logs in each test's folder. Some modules override this."""
     return True
 
 

@@ -179,7 +179,7 @@ def tests_of_lines():
     def find(path, line):
         byte, bit = divmod(line, 8)
         runs = {test for test, bits in table[path] if byte < len(bits) and bits[byte] >> bit & 1}
-        runs = runs or {test for test, _ in table[path]}  # the line runs only at import: all tests
+        runs = runs or {test for test, _ in table[path]}  # runs at import: all tests of the file
         by_file = collections.defaultdict(list)
         for test in sorted(runs, key=lambda test: (seconds[test], test)):
             by_file[test.partition("::")[0]].append(test)

@@ -46,7 +46,7 @@ def test_short_writes_over_tcp_do_not_wait(scheme):
 
 @pytest.fixture
 def plugged(tmp_path, usb_ports):
-    """Return a function that plugs in a device. It returns the port's name and the device's pty."""
+    """Return a function that plugs in a device and returns the port's name and the device's end."""
     ends, name = [], tmp_path / "port"
 
     def plug(**usb):

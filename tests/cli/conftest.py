@@ -88,7 +88,7 @@ def own_runs(tmp_path, monkeypatch):
 
 @pytest.fixture
 def program(tmp_path):
-    """Return a function that runs the program in an empty folder, as a new process if ``real``."""
+    """Return a function that runs the program in an empty folder, by `Forked` unless ``real``."""
 
     def run(*arguments, given="", real=False, timeout=100):
         with (subprocess.Popen if real else Forked)(

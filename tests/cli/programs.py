@@ -55,7 +55,7 @@ def drive(board, seconds=60.0):
     """Send sequences to an open board directly, without a run, at real-time priority."""
     source, ends_s = st.open_source(TEXT, display.profile), time.monotonic() + seconds
     for step in st.steps(source, display.profile, intensity=0.05, scan="points"):
-        # On a busy computer the board may restart.
+        # On a busy computer the board may be lost, or a sequence may be late.
         with contextlib.suppress(BoardRestartedError):
             board.send(step.sequence)
         time.sleep(step.sequence.period_us / 1e6)

@@ -54,7 +54,7 @@ def test_live_end_to_end_ends_in_zero(program_here, kit):
     url, books = kit
 
     def run_on_time():
-        """Run; return the result, or None if a busy computer paused the program."""
+        """Run; return the result, or None if the program was paused or the board restarted."""
         run = program_here(f"live --board {url} {FULL} --seconds 1.7 --json run.json")
         if "was paused" in run.stderr or run.fine().figures["restarts"]:
             return None
@@ -107,7 +107,7 @@ def test_a_walk_through_the_electrodes(program_here, kit):
         assert state["max_current_ma"] <= 0.33
         return list(dict.fromkeys(read_slots(books)["site"][before:].tolist())) == list(range(32))
 
-    # On a busy computer, restarts of the board may leave an electrode no time for a pulse.
+    # On a busy computer, a restart of intensity may leave an electrode no time for a pulse.
     until(walks)
 
 

@@ -177,5 +177,5 @@ def test_a_board_on_a_line_makes_them(live, start_emulator):
     state = fresh_state(books)
     assert state["recharges"] == len(read_slots(books, recharges=True)) > 0
     assert (state["unsafe"], state["violations"]) == (0, 0)
-    # Each scan balances the net charge of earlier scans, so little is left after the last scan.
+    # Each scan balances its own net charge and that of earlier scans, so little is left at the end.
     assert np.abs(state["passed_uc"]).max() < 0.02

@@ -1,4 +1,4 @@
-"""Tests that a stop ends users' programs, and that they drive no board afterwards."""
+"""Tests that a stop ends what users' programs drive, and that they drive no board afterwards."""
 
 import random
 import signal
@@ -39,7 +39,7 @@ def start(start_emulator, tmp_path):
 
 
 def told(process):
-    """Wait until a program ends. Return its output, and how its attempts to drive a board ended."""
+    """Wait until a program ends; return how each attempt to drive a board ended, and the output."""
     out, errors = process.communicate(timeout=PATIENCE_S)
     assert errors == ""
     return dict(line.rsplit(" ", 1) for line in out.splitlines() if "ended by" not in line), out

@@ -156,7 +156,7 @@ def test_beyond_the_range():
 
 
 def test_one_sided_and_of_two_intervals_are_tested_against_guessing():
-    """Success shares near 75 %, as in adaptive procedures, are not mistaken for guesses."""
+    """With a standard or two choices, shares that stay near 75 % are not mistaken for guesses."""
     stimulus = [32.0, 33, 34, 35, 36]
     share = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10], standard=30.0)
     assert judge_answers(share, usual_model([share])).verdict is None

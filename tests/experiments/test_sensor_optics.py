@@ -38,7 +38,7 @@ def test_a_known_patch():
 
 
 def test_after_is_judged_on_frames_that_the_correction_was_not_made_from():
-    """A flat field from one noisy frame removes the unevenness of this frame only."""
+    """A flat field from one noisy frame makes this frame even, but leaves another frame uneven."""
     result = found(SimulatedPatch(noise_levels=5.0), frames=2)
     assert result.uneven_after > 0.03
 

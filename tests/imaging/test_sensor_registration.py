@@ -52,7 +52,7 @@ def test_rotation_and_offset(profile):
 
 
 def flat(optics, **changes):
-    """Return ``optics`` with a homography in place of its field of view, rotation and offset."""
+    """Return ``optics`` with a homography equivalent to its field of view, rotation and offset."""
     across = optics.sensor_columns / optics.field_width_mm
     down = optics.sensor_rows / optics.field_height_mm
     turn = np.radians(optics.rotation_deg)

@@ -71,7 +71,7 @@ SQUARE = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [0, 2], [2, 2]], "s
     ("electric-mouse", {"array": SQUARE | {"size_mm": [1.0, 1.0]}}, 8),
     # The only remaining mirror axis is the diagonal through the masked electrode.
     ("electric-mouse", {"output.masked": [27]}, 2),
-    # Thresholds change kernels only if the total or the current of electrodes is limited.
+    # Thresholds change kernels only if their design limits the total or electrode currents.
     ("smarttouch-4x4", {"perception.threshold_ma": [1.2] * 15 + [1.1]}, 8),
 ], ids=["free", "upright", "square", "masked", "thresholds"])  # fmt: skip
 def test_how_many_symmetries_there_are(changed, name, keys, count):

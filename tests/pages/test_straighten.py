@@ -73,7 +73,7 @@ def test_a_sheet_on_a_table_is_laid_flat(printed, perspective, light):
     prepared = prepare_page(photo.page)
     page, notes = prepared.page, prepared.notes
     assert find_sheet(photo.page.grey) is not None
-    # The first note has no number, so it is about the sheet: a note about skew states an angle.
+    # The first note is about the sheet: it has no number, and a note about skew states an angle.
     assert numbers_in(notes[0]) == []
     assert_level(page)
     width, height = printed.page.size_mm

@@ -100,7 +100,7 @@ def test_an_action_potential_travels_unharmed():
     assert 85 < course[:, 20].max() < 100
     assert course[:, 50].max() == pytest.approx(course[:, 20].max(), rel=0.01)
     delay_us = 2.0 * (course[:, 50].argmax() - course[:, 20].argmax())
-    assert 5 < 30 * SPACING_MM * 1000 / delay_us < 15  # m/s; 3 to 5 per µm of diameter (3.3 µm)
+    assert 5 < 30 * SPACING_MM * 1000 / delay_us < 15  # m/s; about 3 per µm of diameter (3.3 µm)
     assert np.abs(course[-1, :40]).max() < 1
 
 

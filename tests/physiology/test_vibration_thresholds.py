@@ -51,5 +51,5 @@ def test_slopes_far_from_the_best_frequency_are_those_of_the_four_channel_model(
 def test_levels_are_those_of_the_sources():
     assert db(threshold_um(Afferent.PC, 250)) == pytest.approx(-10)
     assert db(threshold_um(Afferent.SAI, 0)) == pytest.approx(28)
-    # At 40 Hz, RA's threshold equals PC's, which is several micrometers. At 30 Hz it is similar.
+    # At 40 Hz, RA's threshold equals PC's: several micrometers. At 30 Hz, RA's is similar.
     assert 5 < threshold_um(Afferent.RA, 30) < 8

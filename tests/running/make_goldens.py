@@ -35,7 +35,7 @@ FOLDER = Path(__file__).parent / "goldens"
 IMAGES = 8
 """Number of images in a recording. The camera is slower than the loop, to keep files small."""
 BEGIN, END = 0.68, 0.94
-"""Recording begins and ends at these fractions of the path's duration, to skip most margins."""
+"""Recording covers these fractions of the path's duration, to skip most of the margin."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Script(Controls):
 
 
 class GoldenDriver(MemoryDriver):
-    """In-memory board whose connection can fail. With ``hold``, it measures rising impedance."""
+    """In-memory board that is lost at most once. With ``hold``, it measures rising impedance."""
 
     def __init__(self, golden, *given):
         super().__init__(*given)

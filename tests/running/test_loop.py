@@ -254,7 +254,7 @@ def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
     time_s = np.array([each.time_ns / 1e9 for each in sent])
     driven = np.flatnonzero(found)
     away = int(np.argmax(np.diff(time_s[driven])))
-    # The finger is lifted for 0.6 s. Pulses pause for less, because a lift is detected late.
+    # The finger is lifted for 0.6 s. Pulses must pause for more than half of this time.
     assert np.diff(time_s[driven])[away] > 0.3
     # A late sequence may catch up with the ramp. So intensity may rise by as much as the ramp does
     # in the time between two sequences plus `LATE_NS`.
@@ -346,7 +346,7 @@ def test_the_age_of_an_image_counts(play):
 def test_what_was_computed_before_a_pause_is_not_sent(
     monkeypatch, profile, play, pipeline, stalls, before
 ):
-    """The loop drops a sequence if the computer stalls before sending. Many drops are one event."""
+    """A sequence is dropped if the computer stalls after computing it. Many drops are one event."""
     clock, process = FakeClock(), pipeline.process
     # With ``claimed_time``, which this helper sets by default, no sequence would be late.
     board = board_without_finger(profile, Watched, clock=clock, claimed_time=False)

@@ -104,7 +104,7 @@ def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, 
         "profile": lambda newtons: flows(source(), in_profile=f"fixed:{newtons}"),
         "board": lambda newtons: flows(source(), on_board_n=newtons),
     }
-    # To save time, test all ways only with source "stimuli", and each other source with one way.
+    # To save time, test all ways only with "stimuli". Other sources get "run" and "board" only.
     for way in ways if WHOLE or name == "stimuli" else ("run",):
         assert ways[way](0.9)
     for way in ways if WHOLE or name == "stimuli" else ("board",):

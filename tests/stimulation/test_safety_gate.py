@@ -1,4 +1,4 @@
-"""The gate refuses sequences beyond a limit; planned intensities never exceed its ramp."""
+"""The gate refuses sequences beyond a limit. Its ramp permits each strength that is planned."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -252,7 +252,7 @@ def test_a_restart_begins_at_zero_without_current(now_ns):
     (20, [0.04, 0.08, 0.12, 0.16]), (50, [0.04, 0.14, 0.24, 0.34]), (500, [0.04, 0.2, 0.36, 0.52]),
 ])  # fmt: skip
 def test_planned_steps_are_as_long_as_pulses_flow(period_ms, planned):
-    """The ramp first rises for 20 ms, and then in each step for one period, but at most 80 ms."""
+    """Plans first rise as the ramp does in 20 ms, later as in a period, but at most as in 80 ms."""
     ramp, found, now_ns = begun(), [], 10**9
     for _ in planned:
         found.append(ramp.allowed_level(now_ns))

@@ -108,7 +108,7 @@ def test_sequences_are_sums_and_proved_as_such(scan):
         assert sequence.sums.table is whole.table
         np.testing.assert_array_equal(sequence.sums.current_ua, sequence.current_ua)
         if before.current_ua.shape == sequence.current_ua.shape:
-            # In `before`, one electrode per slot balances rounding errors, so currents differ.
+            # `before` has rounding errors at other electrodes, so its currents differ.
             np.testing.assert_allclose(sequence.current_ua, before.current_ua, atol=12)
         if (proof := sequence.proof) is not None:
             assert np.maximum(proof.off_target, proof.spill)[proof.points > 1].max(initial=0) <= 0.3

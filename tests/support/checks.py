@@ -54,7 +54,7 @@ def assert_says(error, value=None, allowed=None, names=None, **attributes):
 
 
 def _shows(message, expected):
-    """Return whether a message contains ``expected``: a name, a number, or all items of a list."""
+    """Return whether a message states a name, a number (also in % or millions), or a whole list."""
     expected = getattr(expected, "expected", expected)
     found = [float(each.replace(",", "")) for each in re.findall(_NUMBER, message)]
     if callable(expected):

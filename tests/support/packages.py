@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def install(place, name, groups, modules, version="1.0"):
-    """Write modules (a dict of texts) and metadata with entry points into folder ``place``."""
+    """Write modules (texts by name) and metadata (entry points by group) into folder ``place``."""
     for module, text in modules.items():
         (place / f"{module}.py").write_text(text, encoding="utf-8")
     notes = place / f"{name.replace('-', '_')}-{version}.dist-info"
