@@ -53,14 +53,16 @@ def session():
 @prioritized()
 def drive(board, seconds=60.0):
     """Send sequences to an open board directly, without a run, at real-time priority."""
-    source, ends_s = st.open_source(TEXT, display.profile), time.monotonic() + seconds
-    for step in st.steps(source, display.profile, intensity=0.05, scan="points"):
-        # On a busy computer the board may be lost, or a sequence may be late.
+    ends_s = time.monotonic() + seconds
+    while time.monotonic() < ends_s:
+        source = st.open_source(TEXT, display.profile)
+        # On a busy computer the board may be lost, or a sequence may be late: begin again at zero.
         with contextlib.suppress(BoardRestartedError):
-            board.send(step.sequence)
-        time.sleep(step.sequence.period_us / 1e6)
-        if time.monotonic() > ends_s:
-            return
+            for step in st.steps(source, display.profile, intensity=0.05, scan="points"):
+                board.send(step.sequence)
+                time.sleep(step.sequence.period_us / 1e6)
+                if time.monotonic() > ends_s:
+                    break
 
 
 def drive_opened():
