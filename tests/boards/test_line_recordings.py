@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import smarttouch as st
-from smarttouch.base.errors import BoardError
+from smarttouch.base.errors import BoardError, LineLostError
 from smarttouch.boards.open import make_board
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.testing import replayed
@@ -46,11 +46,17 @@ def session(kind, port, options="", pulses=(400,)):
 def recorded(start_emulator, tmp_path):
     """Return a function that records a session with an emulated board, and returns the file."""
 
-    def run(kind):
-        path = tmp_path / f"{kind}.jsonl"
+    def run(kind, attempts=3):
+        path = tmp_path / f"{kind}{attempts}.jsonl"
         electrodes = len(st.load_profile(PROFILES[kind]).electrodes)
         _, port = start_emulator(electrodes=electrodes, protocol=kind)
-        session(kind, port, f"?record={path}")
+        try:
+            session(kind, port, f"?record={path}")
+        except LineLostError:
+            # On a busy computer the emulator may answer too late.
+            if attempts == 1:
+                raise
+            return run(kind, attempts - 1)
         return path
 
     return run
