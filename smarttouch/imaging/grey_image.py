@@ -104,7 +104,9 @@ def _white_level(values: Pixels, black: float = 0.0) -> np.float64:
     If the smallest level, ``black``, is negative, return the largest level minus ``black``."""
     peak = float(values.max()) - black
     least = 1 if values.dtype.kind == "f" or peak <= 1 else 255
-    return np.float64(peak if black < 0 < peak else max(least, 2 ** int(peak).bit_length() - 1))
+    # A level below 1e-30 would overflow single precision when gray levels are scaled to it.
+    usual = max(least, 2 ** int(peak).bit_length() - 1)
+    return np.float64(max(peak, 1e-30) if black < 0 < peak else usual)
 
 
 def _scaled(values: Pixels, black: float, white: float) -> NDArray[np.uint8]:

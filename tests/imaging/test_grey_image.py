@@ -238,6 +238,7 @@ def test_frames_keep_their_ground():
     )
 )
 @example(np.float32([[1.1754944e-38]]))
+@example(np.float32([[-1.1754944e-38, 0]]))
 @example(np.float32([[-3e38, 3e38]]))
 def test_no_pixels_are_too_much(pixels):
     grey = GreyConverter().convert(pixels)
