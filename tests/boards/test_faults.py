@@ -54,7 +54,7 @@ def test_programs_that_ask_for_no_lock_are_kept_out_of_devices(monkeypatch, name
 
 
 def test_another_board_than_the_profiles_is_refused(make_limits, start_emulator):
-    _, port = start_emulator()
+    _, port = start_emulator("linger=60")
     with raises(BoardError, names="electrodes", value=9, allowed=8):
         make_board(f"link:{port}", make_limits(9)).open()
     with raises(BoardError, value="three-state", allowed="weighted"):
