@@ -161,7 +161,7 @@ def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[
     middle = (letters.top[first] + letters.bottom[first]) // 2
     passed = (np.cumsum(mask, axis=1, dtype=np.int32) for mask in (walls, lanes))
     walled, laned = (count[middle, end] > count[middle, start] for count in passed)
-    # A lane may cross a headline. End a row only at a gap that is wide compared with the letters.
+    # A lane may cross a headline between two words: there, end a row only at a wide gap.
     wide = 2 * gap > _NARROWEST * (letters.height[first] + letters.height[second])
     free = ~(walled | (laned & wide))
     following = dict(zip(first[free].tolist(), second[free].tolist(), strict=True))

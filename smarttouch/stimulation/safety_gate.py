@@ -29,7 +29,7 @@ FIRST_NS = 20_000_000
 """Time, ns, in which the ramp rises from zero to the first strength above zero that the scheduler
 plans. If all currents round to zero at this strength, the scheduler plans a larger strength."""
 MOST_STEP_NS = 80_000_000
-"""Time, ns, in which the ramp rises as much as strength may rise from one plan to the next."""
+"""Time, ns, that the ramp needs for the largest rise of strength between two plans."""
 AHEAD_NS = 85_000_000
 """Time, ns. A planned strength may exceed the ramp's level by as much as the ramp rises in this
 time. The gate allows as much as the ramp rises in 100 ms, so that late sequences can catch up."""

@@ -448,7 +448,7 @@ class ETactileKitDriver(Driver):
                         self._look(shown, self._before[1])
 
     def _look(self, shown: ShownPattern, readings: Readings) -> None:
-        """When readings first show pulses, set ``since`` to just before the scan of the pulses."""
+        """When readings first show pulses, set ``since`` just before the scan with these pulses."""
         scan = self._lock.last
         if not shown.is_seen and shown.pulsed(readings).any():
             shown.is_seen = True
