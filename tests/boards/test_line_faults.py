@@ -13,6 +13,7 @@ import threading
 import time
 import tty
 from collections import deque
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -21,6 +22,7 @@ from smarttouch.base.errors import (
     BoardError,
     BoardRestartedError,
     BoardStoppedError,
+    EmergencyStopError,
     LineLostError,
 )
 from smarttouch.base.wire.framing import Deframer
@@ -161,6 +163,23 @@ def test_a_board_that_is_back_gets_zero_first(hosted, known_by_usb, known):
         zero = zero_anywhere(hosted.electrodes)
         first = zero if known else b"\xf5" + zero
         assert b"".join(heard).startswith(first)
+
+
+@pytest.mark.parametrize("hosted", ["link"], indirect=True)
+def test_an_emergency_switch_that_opens_at_a_stop_is_reported(hosted):
+    packets = Deframer()
+
+    def opened(data):
+        messages = [decode(packet) for packet in packets.feed(data)]
+        return b"".join(encode(replace(each, state=protocol.SWITCH_OPEN)) for each in messages)
+
+    with hosted.board as board:
+        send_on(hosted, 4)
+        hosted.line.to_host = opened
+        board.stop()
+        with raises(EmergencyStopError, names="switch"):
+            board.report()
+    hosted.assert_zero()
 
 
 @pytest.mark.parametrize("hosted", ["etactilekit", "kajimoto61"], indirect=True)

@@ -527,6 +527,9 @@ class LinkDriver(Driver):
     def status(self) -> BoardReport:
         """Return the board's report. Latch the board if it reports more slots or unsafe sequences
         than this host sent, or a new maximum of current above the limits."""
+        fault = self._session.fault
+        if self._line.is_stopped and fault is not None and not isinstance(fault, LineLostError):
+            raise fault
         now, before, limits = self._last_report or self._ask_report(), self._report, self._limits
         largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
         for reported, allowed, unit in (
