@@ -17,7 +17,7 @@ from typer.main import get_command
 from smarttouch.cli import app
 
 from .reading.real_brltty import free_port
-from .support.full import WHOLE
+from .support.full import WHOLE, sample
 from .support.processes import PROGRAM, Forked
 
 ROOT = Path(__file__).parent.parent
@@ -60,7 +60,7 @@ def commands_of_the_program(page):
                     yield words
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", sample(PAGES), ids=lambda page: page.stem)
 def test_python_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))

@@ -15,8 +15,8 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
 LONG = (
     "activating_function", "array_study", "braille_page", "electric_mouse",
-    "frequency_discrimination", "irregular_array", "design_kernels", "paper_effects", "read_a_page",
-    "strength_duration",
+    "frequency_discrimination", "irregular_array", "design_kernels", "own_experiment",
+    "paper_effects", "read_a_page", "strength_duration",
 )  # fmt: skip
 """Slow scripts, which run only when the gallery of the documentation is built."""
 

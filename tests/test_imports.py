@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 ALL_MODULES = """
 import importlib, pkgutil, smarttouch
 names = [found.name for found in pkgutil.walk_packages(smarttouch.__path__, "smarttouch.")]
@@ -103,6 +105,7 @@ main()
 """
 
 
+@pytest.mark.long
 def test_no_module_and_no_run_on_simulated_or_link_needs_what_only_posix_has(tmp_path):
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", NOT_POSIX + ALL_MODULES + FAKE_PORT + RUN],

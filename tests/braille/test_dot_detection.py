@@ -55,17 +55,22 @@ def test_braille_is_recognized(picture):
 
 
 HEBREW = "האדם מניח את ידו על הנייר ויודע אם הוא חלק או גס"
-CAMERA = cv2.resize(skimage.data.camera(), (800, 800))
+
+
+def photograph():
+    return cv2.resize(skimage.data.camera(), (800, 800))
+
+
 OTHERS = {
     "print": lambda: print_text("\n".join(some_lines(20))).grey,
     "small print": lambda: print_page(some_lines(40), size_pt=7, dpi=100).page.grey,
     "Hebrew": lambda: print_page([HEBREW] * 20, size_pt=9, dpi=150, font="DejaVuSans").page.grey,
     "leaders": lambda: print_page([". " * 40] * 30, size_pt=10, dpi=150).page.grey,
-    "halftone": lambda: halftone(CAMERA, 12, 45),
+    "halftone": lambda: halftone(photograph(), 12, 45),
     "tint": lambda: halftone(np.full((700, 700), 180, np.uint8), 9, 15),
     "dotted paper": lambda: lattice(1.0),
     "dots at random on a lattice": lambda: lattice(0.5),
-    "photograph": lambda: CAMERA,
+    "photograph": photograph,
     "noise": lambda: np.random.default_rng(3).integers(0, 256, (400, 500), np.uint8),
     "white": lambda: np.full((300, 400), 255, np.uint8),
     "strip": lambda: np.full((8, 20_000), 255, np.uint8),

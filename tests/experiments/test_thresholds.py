@@ -132,7 +132,7 @@ def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile
         assert progress.found[site].comfort_ma == pytest.approx(1.9, rel=0.2)
 
 
-@pytest.mark.parametrize("name", sample(list_profiles(), 5))
+@pytest.mark.parametrize("name", sample(list_profiles(), 8))
 def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, begun):
     """If nothing is felt, the current rises to the ceiling, and the gate accepts each sequence."""
     profile = load_profile(name)

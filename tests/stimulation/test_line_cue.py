@@ -42,13 +42,11 @@ def frames_at(printed):
 
 
 # Lines of print are 4.3 mm high, with a pitch of 5.3 mm.
+CUES = {-2: "last", -1.5: "last", -0.4: "", 0: "", 0.4: "", 1.5: "first", 2: "first"}
+
+
 @pytest.mark.parametrize("angle_deg", [-5, 0, 5])
-@pytest.mark.parametrize(
-    ("below_mm", "cue"),
-    sample(
-        [(-2, "last"), (-1.5, "last"), (-0.4, ""), (0, ""), (0.4, ""), (1.5, "first"), (2, "first")]
-    ),
-)
+@pytest.mark.parametrize(("below_mm", "cue"), sample(CUES.items(), 3))
 @pytest.mark.parametrize("mode", [Mode.RA, Mode.NATURAL])
 def test_the_row_towards_the_line_is_driven(profile, frames_at, below_mm, angle_deg, cue, mode):
     mapper, counts = LineCueMapper(profile), {"first": 0, "last": 0}

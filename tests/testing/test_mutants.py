@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from ..support.full import WHOLE
-
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plugins" / "board"
 
 MUTANTS = """
@@ -148,8 +146,6 @@ FOUND = {
     "LooksNotAtStop": {ANY_LINE}, "LooksTooEarly": {ANY_LINE},
     "StopsNot": CLOSES | {ANY_LINE}, "StopsLater": {ANY_LINE}, "ClosesWithCurrent": CLOSES,
 }  # fmt: skip
-DRAWN = ("FiftiethMore", "Unbalanced", "LooksTooEarly", "StopsLater", "ClosesWithCurrent")
-"""Mutants to run without ``--full``: one for each kind of fault."""
 
 
 def failed(folder, text, *options):
@@ -166,12 +162,12 @@ def failed(folder, text, *options):
     return found
 
 
+@pytest.mark.long
 def test_what_is_sent_otherwise_fails_the_test_that_is_about_it(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(EXAMPLE), prepend=":")
-    found = {name: tests for name, tests in FOUND.items() if WHOLE or name in DRAWN}
-    kinds = " or ".join(f"Test{name}" for name in found)
+    kinds = " or ".join(f"Test{name}" for name in FOUND)
     tests = " or ".join(name.partition("[")[0] for name in set().union(*FOUND.values()))
-    assert failed(tmp_path, MUTANTS, "-k", f"({kinds}) and ({tests})") == found
+    assert failed(tmp_path, MUTANTS, "-k", f"({kinds}) and ({tests})") == FOUND
 
 
 BROKEN = """
