@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_and_lines import Page
 from tests.pages.printed import INCH_MM, INK, PAPER, Printed, _font, degrade
 
 DPI, WIDTH, HEIGHT, MARGIN, GUTTER = 200, 1400, 1800, 110, 50

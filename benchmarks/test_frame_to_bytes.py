@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from firmware.tests.rig import encode_lists
+from firmware.tests.core_and_emulator import encode_lists
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.wire.framing import LARGEST_PACKET
 from smarttouch.boards.link import MessageKind

@@ -11,12 +11,12 @@ from PIL import Image
 from skimage import data
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.imaging.array_window import profile_for_reading
+from smarttouch.imaging.reading_profile import profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import Profile, load_profile
 from smarttouch.reading.legibility import LineDelivery, legibility_of_shapes
 from smarttouch.reading.letter_shapes import Shapes
-from smarttouch.reading.reading_input import ReadingMaterial
+from smarttouch.reading.reading_material import ReadingMaterial
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 from tests.pages.printed import degrade, print_page
 

@@ -10,8 +10,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from firmware.tests.build import built
-from firmware.tests.rig import encode_lists
+from firmware.tests.builds_and_machines import built
+from firmware.tests.core_and_emulator import encode_lists
 from smarttouch.boards.link import Message, MessageKind, encode
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.kernels.bank import load_bank

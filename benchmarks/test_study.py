@@ -2,8 +2,8 @@
 
 import pytest
 
-from smarttouch.experiments.study import Study, rows_of_letters, study_letters
-from smarttouch.physiology.anatomy import load_anatomy
+from smarttouch.experiments.simulated_study import Study, rows_of_letters, study_letters
+from smarttouch.physiology.afferent_anatomy import load_anatomy
 from smarttouch.profile import load_profile
 
 

@@ -42,8 +42,8 @@ pathlib.Path.exists = lambda path: not str(path).startswith("/proc/") and exists
 
 FAKE_PORT = """
 import threading, time, types, serial
-from smarttouch.emulator.firmware import DeliveryLog, DeviceClock
-from smarttouch.emulator.link_firmware import LinkFirmware
+from smarttouch.emulator.firmware_base import DeliveryLog, DeviceClock
+from smarttouch.emulator.link_board import LinkFirmware
 class FakePort(serial.SerialBase):
     log = DeliveryLog(64)
     def open(self):

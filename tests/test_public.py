@@ -137,7 +137,7 @@ def test_examples_and_pages_import_public_names_alone():
     assert inside == []
 
 
-PROGRAM = Path(__file__).with_name("misspelled.py")
+PROGRAM = Path(__file__).with_name("type_checker_case.py")
 LINES = PROGRAM.read_text("utf-8").splitlines()
 WRONG = {number for number, line in enumerate(LINES, 1) if line.endswith("# wrong")}
 
@@ -145,8 +145,8 @@ WRONG = {number for number, line in enumerate(LINES, 1) if line.endswith("# wron
 EXAMPLES = PROGRAM.parents[1] / "examples"
 RIGHT = [
     EXAMPLES / f"{name}.py"
-    for name in ("analyze_recording", "irregular_array", "own_board", "own_feed", "own_imaging",
-                 "own_stimulus", "show_patterns", "two_intervals")
+    for name in ("analyze_recording", "irregular_array", "own_board", "own_imaging", "own_stimulus",
+                 "patterns_by_udp", "show_patterns", "two_intervals")
 ]  # fmt: skip
 CHECKERS = [("mypy", "--strict"), ("pyright", "--pythonpath", sys.executable)]
 
@@ -166,7 +166,9 @@ def test_misspellings_are_all_that_is_found(checker):
     )  # fmt: skip
     assert len(WRONG) >= 17
     found = re.findall(r"(\w+)\.py:(\d+):.*error", done.stdout)
-    assert {(name, int(line)) for name, line in found} == {("misspelled", each) for each in WRONG}
+    assert {(name, int(line)) for name, line in found} == {
+        ("type_checker_case", each) for each in WRONG
+    }
     # mypy reports the number of files that it has checked.
     if checker[0] == "mypy":
         assert f"checked {1 + len(RIGHT)} source files" in done.stdout

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 sys.path.append(str(Path(__file__).parents[1]))
-from studies.finger_effects import CLEAR_MA, LOWERED, against_all, inner_sites, kernel_ma
+from studies.effects_on_fingers import CLEAR_MA, LOWERED, against_all, inner_sites, kernel_ma
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.activating_function import potential_mv
-from smarttouch.physiology.anatomy import load_anatomy
+from smarttouch.physiology.afferent_anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.membrane import load_driving, weiss_fit
 from smarttouch.physiology.spikes import SpikeModel, response_map

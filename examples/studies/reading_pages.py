@@ -22,8 +22,8 @@ from scipy.stats import bootstrap
 from threadpoolctl import threadpool_limits
 
 from smarttouch.base.afferent import Mode
-from smarttouch.imaging.array_window import profile_for_reading
-from smarttouch.imaging.line_picture import LinePicture
+from smarttouch.imaging.image_reconstruction import LinePicture
+from smarttouch.imaging.reading_profile import profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import (
@@ -43,7 +43,7 @@ from smarttouch.reading.legibility import (
 )
 from smarttouch.reading.letter_shapes import Shapes, shape_line
 from smarttouch.reading.line_source import LineMotion, TouchLine
-from smarttouch.reading.reading_input import ReadingMaterial
+from smarttouch.reading.reading_material import ReadingMaterial
 from smarttouch.reading.recognition import recognized_lines
 from smarttouch.running.config import RunConfig
 

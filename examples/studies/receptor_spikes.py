@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.instruments.skin_trace import (
+from smarttouch.instruments.vibration_trace import (
     SAI_FULL_N,
     SAI_RATE_HZ,
     Array,
@@ -65,7 +65,7 @@ def skin_spikes(
     >>> import smarttouch as st
     >>> from smarttouch.physiology.finger import Finger
     >>> from studies.receptor_spikes import skin_spikes
-    >>> from smarttouch.instruments.skin_trace import open_trace
+    >>> from smarttouch.instruments.vibration_trace import open_trace
     >>> finger = Finger(st.load_profile("smarttouch-4x4"), seed=1, anatomy="paper")
     >>> spikes = skin_spikes(finger, open_trace("tone:30Hz,8um", 1.0))
     >>> int(spikes.counts[finger.classes == st.Afferent.RA].max())

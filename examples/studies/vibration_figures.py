@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import CLASS_COLORS, Afferent
-from smarttouch.instruments.color_mix import Mixture
-from smarttouch.instruments.skin_trace import Trace
+from smarttouch.instruments.vibration_stimuli import Mixture
+from smarttouch.instruments.vibration_trace import Trace
 from smarttouch.physiology.vibration_thresholds import PC_BAND_HZ, RA_BAND_HZ, threshold_um
 from smarttouch.views.figure_style import GREY, new_figure, plain
 

@@ -6,7 +6,7 @@
 #include <stdlib.h>
 
 #include "../ports/host/st_memory.h"
-#include "../ports/host/st_talk.h"
+#include "../ports/host/st_host_packets.h"
 
 #define ELECTRODES 6u
 

@@ -162,7 +162,7 @@ void st_sha256_add(st_sha256 *hash, const uint8_t *data, size_t size);
 /* Write the first 16 bytes of the hash. */
 void st_sha256_end(st_sha256 *hash, uint8_t digest[ST_IDENTITY_BYTES]);
 
-/* st_kernel_table.c */
+/* st_kept_kernels.c */
 #define ST_LOAD_HEAD (ST_IDENTITY_BYTES + 8u) /* of a payload of KERNELS */
 void st_keep_take(st_board *board, const uint8_t *payload, uint32_t size);
 /* Compute what shows the host of this session that the whole table is here. */
@@ -170,7 +170,7 @@ void st_keep_prove(st_board *board);
 void st_add_kernel(const st_board *board, uint32_t kernel, uint32_t amplitude);
 uint16_t st_kernel_site(const st_board *board, uint32_t kernel);
 
-/* st_sequence.c */
+/* st_sequence_packet.c */
 bool st_read_sequence(const st_board *board, const uint8_t *data, uint32_t size,
                       st_sequence *sequence, st_refusal *refusal);
 /* Write a refusal by a rule; return false. */

@@ -14,7 +14,7 @@ pytest_plugins = ["tests.fixtures"]
 @pytest.fixture
 def start_firmware():
     """Return a function that starts the C core and returns its process and its port's name."""
-    from firmware.tests.build import host
+    from firmware.tests.builds_and_machines import host
     from tests.support.processes import share_priority
 
     started = []
@@ -42,7 +42,7 @@ def start_firmware():
 @pytest.fixture
 def start_cortex_m3(tmp_path):
     """Return a function that starts the firmware on an emulated Cortex-M3 (`CortexM3`)."""
-    from firmware.tests.build import CortexM3
+    from firmware.tests.builds_and_machines import CortexM3
 
     started = []
 

@@ -7,7 +7,7 @@ sequences are valid, so that pulses flow from the start.
 import sys
 from pathlib import Path
 
-from firmware.tests.scenes import Scene, random_table
+from firmware.tests.random_histories import Scene, random_table
 from smarttouch.boards.link import OUTPUTS
 from smarttouch.boards.link.sequence_encoding import KernelImage
 

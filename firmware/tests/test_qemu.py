@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from firmware.tests.build import ELECTRODES, Machine, built
-from firmware.tests.rig import Talk, encode_lists
+from firmware.tests.builds_and_machines import ELECTRODES, Machine, built
+from firmware.tests.core_and_emulator import Talk, encode_lists
 from smarttouch.boards.link import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import encode_limits
 from smarttouch.stimulation.safety_gate import SafetyLimits

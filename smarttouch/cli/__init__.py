@@ -13,7 +13,7 @@ from smarttouch.base import __version__
 from smarttouch.base.errors import SmartTouchError, TableError
 from smarttouch.base.stopping import RunStopped
 from smarttouch.cli.calibrate import calibrate
-from smarttouch.cli.design import design, profiles
+from smarttouch.cli.design_and_profiles import design, profiles
 from smarttouch.cli.devices import devices
 from smarttouch.cli.experiment import experiment
 from smarttouch.cli.live import live, replay, stop

@@ -21,7 +21,7 @@ from smarttouch.cli.options import (
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board
 
 if TYPE_CHECKING:
-    from smarttouch.experiments.calibration import ProfileFile
+    from smarttouch.experiments.contact_and_force_calibration import ProfileFile
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class CalibrationOptions(OptionGroup):
     ) -> "ProfileFile":
         """Open the profile that a calibration changes."""
         from smarttouch.boards.open import default_profile
-        from smarttouch.experiments.calibration import file_to_calibrate
+        from smarttouch.experiments.contact_and_force_calibration import file_to_calibrate
 
         if self.output is None:
             raise CalibrationError("no file for the results: add --output FILE.toml")
@@ -53,7 +53,7 @@ class CalibrationOptions(OptionGroup):
 
 def _typed_weights() -> Iterator[float]:
     """Ask for the weights that the user puts on a load cell, and yield them, g."""
-    from smarttouch.experiments.calibration import parse_grams
+    from smarttouch.experiments.contact_and_force_calibration import parse_grams
 
     while answer := _answer("Grams on the load cell, at rest (Enter: no more weights)"):
         yield parse_grams(answer)
@@ -103,7 +103,7 @@ def optics(
     source: _SourceUrl = None,
 ) -> None:
     """Measure each pixel's dark level on the covered sensor, then its gain on blank white paper."""
-    from smarttouch.experiments import sensor_optics
+    from smarttouch.experiments import sensor_calibration
 
     file = calibration.file("optics")
     if source is None:
@@ -111,8 +111,8 @@ def optics(
     seen = []
     for asked in ("Cover the sensor: no light.", "Put the sensor on white paper, in normal light."):
         _answer(f"{asked} Then press Enter")
-        seen.append(sensor_optics.images_of(source, file.profile, _FRAMES, corrected=False))
-    flat_field = sensor_optics.measure_optics(*seen)
+        seen.append(sensor_calibration.images_of(source, file.profile, _FRAMES, corrected=False))
+    flat_field = sensor_calibration.measure_optics(*seen)
     field_file = file.beside("flat-field.npz")
     file.set("optics.flat_field", field_file.name)
     finish(file, "optics", flat_field.sentence(), others={field_file: flat_field.field.to_bytes()})
@@ -126,9 +126,9 @@ def registration(
     target: Annotated[Path | None, option("Write the target for printing.", "FILE.png")] = None,
 ) -> None:
     """Find the position of each electrode in the sensor's image, with a printed target."""
-    from smarttouch.experiments.sensor_optics import images_of, register, target_for
+    from smarttouch.experiments.sensor_calibration import images_of, register, target_for
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
-    from smarttouch.sources.preprocess import mean_image
+    from smarttouch.sources.flat_field_and_motion import mean_image
 
     output = calibration.output
     begun = str(output) if output is not None and output.exists() else DEFAULT_PROFILE
@@ -170,7 +170,7 @@ def force(
     seconds: Annotated[float, option("Measure each weight for this time.", "S")] = 2.0,
 ) -> None:
     """Measure the curve that converts load cell readings to force, with known weights."""
-    from smarttouch.experiments.calibration import fit_curve, weigh_on
+    from smarttouch.experiments.contact_and_force_calibration import fit_curve, weigh_on
 
     require_within(CalibrationError, "seconds", seconds, 0, 600, above=True)
     file = calibration.file("force")
@@ -226,7 +226,7 @@ def contact(
     board: _BoardUrl = "emulator:",
 ) -> None:
     """Find the electrodes that touch the skin, by repeated measurements of impedance."""
-    from smarttouch.experiments.calibration import judge_contact, measure_contact
+    from smarttouch.experiments.contact_and_force_calibration import judge_contact, measure_contact
     from smarttouch.running.display import open_display
 
     simulated = board.startswith("emulator:")

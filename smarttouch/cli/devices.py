@@ -18,7 +18,7 @@ from smarttouch.views.printable_output import print_table
 
 if TYPE_CHECKING:
     from smarttouch.base.events import Event
-    from smarttouch.running.step import StepResult
+    from smarttouch.running.step_records import StepResult
 
 
 devices: Commands = Commands(
@@ -182,8 +182,8 @@ def try_out(
     import sys
 
     from smarttouch.running.display import open_display
-    from smarttouch.running.step import OnEvent, as_listeners
-    from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
+    from smarttouch.running.electrode_walk import ElectrodeReached, Walk, run_walk
+    from smarttouch.running.step_records import OnEvent, as_listeners
     from smarttouch.views.keys_and_signals import keyboard_listener
 
     display = open_display(url, profile)

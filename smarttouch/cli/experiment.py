@@ -26,7 +26,7 @@ from smarttouch.views import printable_output
 from smarttouch.views.keys_and_signals import drives_a_board
 
 if TYPE_CHECKING:
-    from smarttouch.experiments.answers import AnswerTable
+    from smarttouch.experiments.answer_file import AnswerTable
     from smarttouch.experiments.findings import Finding
 
 _ANATOMY = "paper"
@@ -113,7 +113,7 @@ def _run_trials(
     from smarttouch.experiments.observers import make_observer
     from smarttouch.experiments.trials import Setup
     from smarttouch.profile import DEFAULT_PROFILE
-    from smarttouch.views.screen import BlindScreen
+    from smarttouch.views.terminal_screen import BlindScreen
 
     simulate, observer = who.simulate, None
     if simulate is None:
@@ -165,7 +165,7 @@ def _run_free(run: RunOptions, who: _Participant, mode: str, options: dict[str, 
     from smarttouch.experiments.experiment_session import numbered
     from smarttouch.experiments.free_stimulation import FreeSource, raise_to_device_limits
     from smarttouch.experiments.trials import Setup
-    from smarttouch.imaging.array_window import reading_force_n
+    from smarttouch.imaging.reading_profile import reading_force_n
     from smarttouch.kernels.bank import load_bank
     from smarttouch.views.progress import bank_progress
 
@@ -214,7 +214,7 @@ def fit(
     Several files, for example of RA and PC mode, are shown in one table and one picture.
     """
     from smarttouch.base.files import write_json
-    from smarttouch.experiments.answers import read_table, usual_model
+    from smarttouch.experiments.answer_file import read_table, usual_model
     from smarttouch.experiments.findings import as_json, discrimination_figure, judge_answers
     from smarttouch.views import figure_style
 

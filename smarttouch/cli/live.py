@@ -96,7 +96,7 @@ def replay(
     profile and force. --intensity scales the recorded intensity.
     """
     from smarttouch.running.recorded_source import RecordedControls, RecordingSource
-    from smarttouch.running.recording import RecordedRun
+    from smarttouch.running.recording_reader import RecordedRun
     from smarttouch.views.terminal_session import describe_recording
 
     if info:
@@ -118,7 +118,7 @@ def _check(file: Path, profile: str | None) -> None:
     """Print the result of the comparison; exit with status 1 if sequences differ."""
     from smarttouch.kernels.bank import load_bank
     from smarttouch.profile import load_profile
-    from smarttouch.running.recording import RecordedRun
+    from smarttouch.running.recording_reader import RecordedRun
     from smarttouch.running.replay_check import check_recording
     from smarttouch.views.progress import bank_progress
 

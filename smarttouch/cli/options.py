@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from smarttouch.profile import Profile
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display
-    from smarttouch.running.step import Listener
+    from smarttouch.running.step_records import Listener
     from smarttouch.sources.source_contract import Source
 
 _T = TypeVar("_T")

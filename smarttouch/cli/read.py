@@ -57,7 +57,7 @@ class DocumentOptions(OptionGroup):
     def recognition(self, source: str) -> "tuple[str, RecognitionOptions]":
         """Return the address of a document, and the options of its recognition."""
         from smarttouch.base.urls import all_options
-        from smarttouch.pages.text_file import FileKind, file_kind
+        from smarttouch.pages.text_documents import FileKind, file_kind
         from smarttouch.reading.recognition import RecognitionOptions
         from smarttouch.sources.virtual_finger import password_of
 
@@ -157,9 +157,9 @@ def read(
 
     Arrow keys choose a line, and r repeats the line. The keys of smarttouch live also work.
     """
-    from smarttouch.imaging.array_window import profile_for_reading
+    from smarttouch.imaging.reading_profile import profile_for_reading
     from smarttouch.reading.line_source import ReadingSource
-    from smarttouch.reading.reading_input import ReadingMaterial
+    from smarttouch.reading.reading_material import ReadingMaterial
     from smarttouch.views.progress import first_line_awaited
 
     run_profile = run.load_profile()
@@ -221,7 +221,7 @@ def braille(
     from smarttouch.braille.brf import format_brf
     from smarttouch.braille.code_tables import open_table
     from smarttouch.reading.braille_lines import document_cells
-    from smarttouch.reading.reading_input import ReadingMaterial
+    from smarttouch.reading.reading_material import ReadingMaterial
 
     if tables:
         _print_tables()
@@ -310,7 +310,7 @@ def braille_display(
 
     The finger then reads the console and, through BrlAPI, the text that Orca sends on a desktop.
     """
-    from smarttouch.imaging.array_window import profile_for_reading
+    from smarttouch.imaging.reading_profile import profile_for_reading
     from smarttouch.sources import open_source
 
     chosen = profile_for_reading(run.load_profile())

@@ -46,13 +46,13 @@ def simulate_page(
 ) -> None:
     """Run a page on a simulated board and read the result with Tesseract."""
     from smarttouch.base.files import write_json
-    from smarttouch.imaging.array_window import profile_for_reading, rows_of
+    from smarttouch.imaging.reading_profile import profile_for_reading, rows_of
     from smarttouch.kernels.bank import load_bank
-    from smarttouch.pages.text_file import read_plain_text
+    from smarttouch.pages.text_documents import read_plain_text
     from smarttouch.profile import load_profile
     from smarttouch.reading.legibility import LineDelivery, legibility_of_shapes
     from smarttouch.reading.letter_shapes import Shapes
-    from smarttouch.reading.reading_input import ReadingMaterial
+    from smarttouch.reading.reading_material import ReadingMaterial
     from smarttouch.running.config import RunConfig
     from smarttouch.views.printable_output import print_table
     from smarttouch.views.progress import bank_progress, progress
@@ -93,7 +93,7 @@ def study(
     ] = None,
 ) -> None:
     """Run or continue a study that varies fingers, profiles, modes, scans and letters."""
-    from smarttouch.experiments.study import (
+    from smarttouch.experiments.simulated_study import (
         ROWS_FILE,
         TABLE_NOTE,
         load_study,

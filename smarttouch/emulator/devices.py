@@ -20,10 +20,10 @@ from smarttouch.base.urls import options_of, read_options
 from smarttouch.boards.link import OUTPUTS
 from smarttouch.emulator.device_lines import PtyLine, Replay, TcpLine
 from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmware
-from smarttouch.emulator.firmware import DeliveryLog, DeviceClock, Firmware
+from smarttouch.emulator.firmware_base import DeliveryLog, DeviceClock, Firmware
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
-from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.link_rules import Room
+from smarttouch.emulator.link_board import LinkFirmware
+from smarttouch.emulator.link_board_limits import Room
 from smarttouch.emulator.skin import EmulatedFinger
 
 BOARDS = {"link": (64, 1, 4096), "kajimoto61": (61, 61, 61), "etactilekit": (32, 1, 255)}

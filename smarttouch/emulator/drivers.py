@@ -24,17 +24,17 @@ from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.link import MessageKind
 from smarttouch.boards.link.link_driver import LinkDriver, LinkSession
 from smarttouch.boards.reports import Capabilities
-from smarttouch.emulator import link_rules
-from smarttouch.emulator.firmware import DeliveryLog
-from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.link_rules import Room
+from smarttouch.emulator import link_board_limits
+from smarttouch.emulator.firmware_base import DeliveryLog
+from smarttouch.emulator.link_board import LinkFirmware
+from smarttouch.emulator.link_board_limits import Room
 from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 _HEARTBEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest pause between packets of the host
 _STEP_NS = 20_000  # while the host waits for an answer, simulated time advances in these steps
-_LONGEST_GAP_NS = 1000 * (link_rules.KEPT_US + link_rules.SECOND_US)
+_LONGEST_GAP_NS = 1000 * (link_board_limits.KEPT_US + link_board_limits.SECOND_US)
 """Longest simulated pause between sequences. A longer pause would have the same effect: after this
 pause, the ramp restarts, and the limits per second do not count pulses before the pause."""
 
@@ -131,7 +131,7 @@ class SimulatedDriver(LinkDriver):
         self._firmware = LinkFirmware(
             "weighted" if self._output is None else self._output.kind,
             self._books,
-            ramp_ms=link_rules.RAMP_MS,
+            ramp_ms=link_board_limits.RAMP_MS,
             room=self.room,
         )
         self._line.name = "simulated:"
@@ -229,7 +229,7 @@ class EmulatorDriver(LinkDriver):
         self.port = None
         kind = "weighted" if output is None else output.kind
         url = f"link?electrodes={limits.electrodes}&output={kind}&linger=0.2"
-        url += f"&ramp_ms={link_rules.RAMP_MS}"
+        url += f"&ramp_ms={link_board_limits.RAMP_MS}"
         url += "".join(f"&event={quote(event)}" for event in events)
         url += "" if books is None else f"&books={quote(str(books))}"
         self._url = url

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.emulator.firmware import LARGEST_READING, DeliveryLog, KitFirmware
+from smarttouch.emulator.firmware_base import LARGEST_READING, DeliveryLog, KitFirmware
 from smarttouch.emulator.skin import COMPLIANCE_V, EmulatedFinger
 
 UA_PER_COUNT = 9.99

@@ -9,7 +9,7 @@ If STIMULATE causes it, it begins with this value, until the converter has loade
 from collections import deque
 from dataclasses import dataclass, field
 
-from smarttouch.emulator.firmware import DeliveryLog, KitFirmware
+from smarttouch.emulator.firmware_base import DeliveryLog, KitFirmware
 from smarttouch.emulator.skin import COMPLIANCE_V, EmulatedFinger
 
 ELECTRODES = 61

@@ -10,7 +10,7 @@ from itertools import count
 from pathlib import Path
 
 from smarttouch.base.errors import ExperimentError, SmartTouchError
-from smarttouch.experiments.answers import AnswerFile, Row, Value
+from smarttouch.experiments.answer_file import AnswerFile, Row, Value
 from smarttouch.experiments.observers import FITTED, Observer
 from smarttouch.experiments.procedures import LIMITS, middle_and_spread
 from smarttouch.experiments.standard_experiments import trials_of

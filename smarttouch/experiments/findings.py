@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smarttouch.experiments.answers import Answers, AnswerTable
+from smarttouch.experiments.answer_file import Answers, AnswerTable
 from smarttouch.experiments.psychometric import Array, Bounded, Counts, Fit, Model, fit
 from smarttouch.views.figure_style import GREY, SERIES_COLORS, new_figure, plain
 

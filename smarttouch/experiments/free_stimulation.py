@@ -12,7 +12,7 @@ from smarttouch.base.events import Marked, Note
 from smarttouch.experiments.thresholds import measuring_profile
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import require_driven
-from smarttouch.running.step import Listener, StepResult
+from smarttouch.running.step_records import Listener, StepResult
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
 
 SLOWEST_HZ = 10.0  # lowest pulse rate (paper, III-B.1)

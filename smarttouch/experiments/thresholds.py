@@ -13,8 +13,8 @@ from smarttouch.base.errors import CalibrationError
 from smarttouch.base.events import Advice, BoardRestarted, Event, FingerLifted
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
-from smarttouch.experiments.answers import NUMBER, OPTIONAL, WORDS, AnswerFile, Value
-from smarttouch.experiments.calibration import ProfileFile
+from smarttouch.experiments.answer_file import NUMBER, OPTIONAL, WORDS, AnswerFile, Value
+from smarttouch.experiments.contact_and_force_calibration import ProfileFile
 from smarttouch.experiments.procedures import Condition, middle_and_spread
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import STEP_S, Course, Setup, Trial, Trials
@@ -23,7 +23,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
-from smarttouch.running.step import Listener, StepResult
+from smarttouch.running.step_records import Listener, StepResult
 from smarttouch.stimulation.safety_limits import LONGEST_RAMP_S
 
 RISE_S = 6.0  # rise time of the first run from zero to the expected threshold

@@ -12,8 +12,8 @@ from smarttouch.emulator.drivers import SimulatedDriver
 from smarttouch.experiments.observers import Observer, Starts, interval_of
 from smarttouch.experiments.trials import STEP_S, Answer, Train, Trial, Trials
 from smarttouch.profile import Profile
-from smarttouch.running.program import SILENT_US, STEADY, Level, Program, Shown
-from smarttouch.running.step import RunContext, StepResult
+from smarttouch.running.pattern_program import SILENT_US, STEADY, Level, Program, Shown
+from smarttouch.running.step_records import RunContext, StepResult
 from smarttouch.sources.source_contract import Input, Stimulus
 from smarttouch.stimulation.safety_gate import FIRST_NS, MOST_STEP_NS
 from smarttouch.stimulation.scheduler import rate_share

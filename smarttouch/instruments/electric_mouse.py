@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError, SourceError, require_within
 from smarttouch.base.events import Note
-from smarttouch.imaging.array_window import pixel_pitch_mm, profile_for_reading, reading_force_n
+from smarttouch.imaging.reading_profile import pixel_pitch_mm, profile_for_reading, reading_force_n
 from smarttouch.instruments.hand_motion import HandMotion, open_motion, strokes_over
 from smarttouch.instruments.relief import open_texture
 from smarttouch.instruments.textures import Texture
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_and_lines import Page
 from smarttouch.profile import Profile
-from smarttouch.running.step import StepResult
+from smarttouch.running.step_records import StepResult
 from smarttouch.sources.source_contract import (
     DeviceWarnings,
     Pose,

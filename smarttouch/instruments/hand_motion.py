@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import SourceError, SourceLostError, import_extra, require_within
 from smarttouch.base.files import read_csv
 from smarttouch.base.urls import all_options, unknown
-from smarttouch.pages.page_image import INCH_MM
+from smarttouch.pages.page_and_lines import INCH_MM
 from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
 from smarttouch.sources import SOURCES, open_source
 from smarttouch.sources.source_contract import Device, Pose, Source

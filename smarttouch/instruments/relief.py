@@ -27,7 +27,7 @@ from smarttouch.instruments.textures import (
     TextureSampler,
 )
 from smarttouch.pages.document import Document
-from smarttouch.pages.page_image import require_size_mm
+from smarttouch.pages.page_and_lines import require_size_mm
 from smarttouch.pages.prepared_page import print_text
 
 LETTER_MM = 12.0  # height of letters; their strokes are then wide enough for electrodes 2 mm apart

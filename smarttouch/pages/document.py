@@ -20,7 +20,7 @@ from smarttouch.base.errors import PageError, require_within
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
 from smarttouch.base.stopping import Closing
 from smarttouch.imaging.grey_image import GreyConverter, open_image, page_frames, read_pixels
-from smarttouch.pages.page_image import (
+from smarttouch.pages.page_and_lines import (
     INCH_MM,
     LARGEST_MM,
     Page,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from smarttouch.pages.page_image import curve_at
+from smarttouch.pages.page_and_lines import curve_at
 
 Floats = NDArray[np.float64]
 Ink = NDArray[np.bool_]

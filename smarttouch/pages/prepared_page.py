@@ -26,7 +26,7 @@ from smarttouch.pages.letter_rows import (
     usual_height,
     weighted_median,
 )
-from smarttouch.pages.page_image import INCH_MM, Page, TextLine, require_size_mm
+from smarttouch.pages.page_and_lines import INCH_MM, Page, TextLine, require_size_mm
 from smarttouch.pages.reading_order import DOUBTFUL, Segment, reading_order
 from smarttouch.pages.straighten import cut_strip, find_sheet, flattened, turned
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.pages.ink import Grey
-from smarttouch.pages.page_image import TextLine
+from smarttouch.pages.page_and_lines import TextLine
 
 Corners = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ProfileError, require_within
 from smarttouch.physiology import activating_function as nominal
 from smarttouch.physiology.activating_function import potential_mv
-from smarttouch.physiology.anatomy import Anatomy, ClassAnatomy, load_anatomy
+from smarttouch.physiology.afferent_anatomy import Anatomy, ClassAnatomy, load_anatomy
 from smarttouch.physiology.membrane import DrivingFunction
 from smarttouch.profile import Profile, load_profile
 

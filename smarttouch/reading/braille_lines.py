@@ -22,11 +22,11 @@ from smarttouch.braille.cells import (
 )
 from smarttouch.braille.code_tables import DEFAULT_TABLE, BrailleTable, open_table
 from smarttouch.braille.page_layout import COLUMNS, INDENT, ROWS, join, lay_out
-from smarttouch.imaging.array_window import pixel_pitch_mm, usual_speed_mm_s
+from smarttouch.imaging.reading_profile import pixel_pitch_mm, usual_speed_mm_s
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.profile import Profile
 from smarttouch.reading.line_source import LineMotion, TouchLine
-from smarttouch.reading.reading_input import ReadingMaterial
+from smarttouch.reading.reading_material import ReadingMaterial
 from smarttouch.reading.recognition import Note, recognized_lines
 
 DOT_MM, CELL_MM = 2.34, 6.2

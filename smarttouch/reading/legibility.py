@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ReadingError, import_extra
 from smarttouch.emulator.drivers import SimulatedDriver
-from smarttouch.imaging.array_window import pixel_pitch_mm
-from smarttouch.imaging.line_picture import LinePicture
+from smarttouch.imaging.image_reconstruction import LinePicture
+from smarttouch.imaging.reading_profile import pixel_pitch_mm
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.finger import Finger
@@ -27,13 +27,13 @@ from smarttouch.physiology.spikes import (
 from smarttouch.profile import Profile
 from smarttouch.reading.letter_shapes import ALPHABET, draw_letter, require_rows, shape_line
 from smarttouch.reading.line_source import LineMotion, ReadingSource, TouchLine
-from smarttouch.reading.reading_input import ReadingMaterial
+from smarttouch.reading.reading_material import ReadingMaterial
 from smarttouch.reading.recognition import BLOCK, recognize, recognized_lines
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.runner import Runner
-from smarttouch.running.step import StepResult
+from smarttouch.running.step_records import StepResult
 from smarttouch.sources.source_contract import Pose, Stimulus
 from smarttouch.stimulation.safety_gate import MOST_STEP_NS
 from smarttouch.stimulation.scan_sequence import NO_SHARING, ScanSequence, SlotPolicy

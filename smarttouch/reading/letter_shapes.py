@@ -11,7 +11,7 @@ from skimage.morphology import skeletonize
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ExperimentError, ReadingError, SmartTouchError
-from smarttouch.imaging.array_window import (
+from smarttouch.imaging.reading_profile import (
     FEWEST_ROWS,
     pixel_pitch_mm,
     profile_for_reading,
@@ -23,7 +23,7 @@ from smarttouch.imaging.tactile_mapper import TactileMapper, Tone
 from smarttouch.pages.prepared_page import PreparedPage
 from smarttouch.profile import Profile
 from smarttouch.reading.line_source import LineMotion, TouchLine
-from smarttouch.reading.reading_input import ReadingMaterial
+from smarttouch.reading.reading_material import ReadingMaterial
 from smarttouch.reading.recognition import Note, recognized_lines
 from smarttouch.sources.source_contract import Frame
 

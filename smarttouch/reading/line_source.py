@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import ReadingError, require_within
 from smarttouch.base.events import Note
-from smarttouch.imaging.array_window import pixel_pitch_mm, reading_force_n
-from smarttouch.pages.page_image import Page
+from smarttouch.imaging.reading_profile import pixel_pitch_mm, reading_force_n
+from smarttouch.pages.page_and_lines import Page
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.pages.page_image import TextLine
+from smarttouch.pages.page_and_lines import TextLine
 from smarttouch.reading.recognition import Note
 
 _GAP = 1.35  # from this line distance on, relative to the median, a paragraph begins

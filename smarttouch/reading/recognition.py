@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import PageError, ReadingError
 from smarttouch.braille.dot_detection import shows_dots
 from smarttouch.pages.ink import separate_ink
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_and_lines import Page
 from smarttouch.pages.prepared_page import PreparedPage, prepare_page
 
 Note = Callable[[str], None]

@@ -137,7 +137,7 @@ class RunConfig(Table):
         elif isinstance(self.scan, SlotPolicy):
             sharing = self.scan
         else:
-            from smarttouch.kernels.selectivity import provable
+            from smarttouch.kernels.slot_selectivity import provable
 
             shares = not self.hold and provable(profile)
             sharing = SlotPolicy((Afferent.RA,)) if shares else NO_SHARING

@@ -14,9 +14,9 @@ from smarttouch.boards.shutdown import current_command, expect
 from smarttouch.profile import Profile, load_profile
 from smarttouch.running.config import RunConfig, configured
 from smarttouch.running.loop import Loop
-from smarttouch.running.program import CANCELED, Pattern, Program, Shown
+from smarttouch.running.pattern_program import CANCELED, Pattern, Program, Shown
 from smarttouch.running.run_statistics import RunStatistics
-from smarttouch.running.step import Listener, StepResult
+from smarttouch.running.step_records import Listener, StepResult
 from smarttouch.sources.force import ForceSource
 from smarttouch.stimulation.safety_gate import SafetyLimits
 

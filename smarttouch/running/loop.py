@@ -44,7 +44,7 @@ from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import PhaseLock, RunStatistics, Sent
-from smarttouch.running.step import Listener, OnStep, Step, StepResult
+from smarttouch.running.step_records import Listener, OnStep, Step, StepResult
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, checked_input
 

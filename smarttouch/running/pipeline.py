@@ -15,7 +15,7 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_NET_MA
 from smarttouch.running.config import RunConfig
-from smarttouch.running.step import Measured, Step
+from smarttouch.running.step_records import Measured, Step
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
 from smarttouch.stimulation.charge_balance import ChargeBalance, RechargeRules, add_recharge
 from smarttouch.stimulation.impedance_control import RESERVED, ImpedanceControl

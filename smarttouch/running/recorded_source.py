@@ -10,8 +10,8 @@ from smarttouch.base.errors import RecordingError, SourceError
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import stricter
 from smarttouch.running.loop import Controls, ControlState
-from smarttouch.running.recording import RecordedRun
 from smarttouch.running.recording_format import RecordedStep
+from smarttouch.running.recording_reader import RecordedRun
 from smarttouch.sources.source_contract import Input, Source, Stimulus
 
 

@@ -24,7 +24,7 @@ from smarttouch.running.recording_format import (
     image_message,
     step_message,
 )
-from smarttouch.running.step import Listener, RunContext, StepResult
+from smarttouch.running.step_records import Listener, RunContext, StepResult
 
 CHUNK_S = 1.0  # longest time until a step is on disk, apart from delays of the disk
 MOST_WAITING = 1000  # largest number of steps waiting for the disk

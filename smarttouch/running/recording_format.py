@@ -23,7 +23,7 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
-from smarttouch.running.step import FirstPulse, Step, StepResult
+from smarttouch.running.step_records import FirstPulse, Step, StepResult
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
 from smarttouch.stimulation.scan_sequence import (
     ScanSequence,

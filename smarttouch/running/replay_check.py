@@ -12,8 +12,8 @@ from smarttouch.base.errors import RecordingError
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.running.pipeline import Pipeline, Regulator
-from smarttouch.running.recording import RecordedRun
 from smarttouch.running.recording_format import RecordedStep
+from smarttouch.running.recording_reader import RecordedRun
 from smarttouch.stimulation.charge_balance import ChargeBalance, RechargeRules
 from smarttouch.stimulation.impedance_control import ImpedanceControl
 from smarttouch.stimulation.scan_sequence import ScanSequence

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Mode
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.running.step import FirstPulse, StepResult
+from smarttouch.running.step_records import FirstPulse, StepResult
 from smarttouch.sources.source_contract import Source
 
 _PER_E = 100  # number of bins from a duration to this duration times e (2.718)

@@ -22,11 +22,11 @@ from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
 from smarttouch.running.config import RunConfig, configured
 from smarttouch.running.display import Display, open_display
 from smarttouch.running.loop import Controls, ControlState, Loop, emit_to, steady_environment
+from smarttouch.running.pattern_program import Program
 from smarttouch.running.pipeline import Pipeline, make_regulator
-from smarttouch.running.program import Program
 from smarttouch.running.recording_format import recorded_settings
 from smarttouch.running.run_statistics import RunStatistics
-from smarttouch.running.step import Listener, RunContext, Step, StepResult, as_listeners
+from smarttouch.running.step_records import Listener, RunContext, Step, StepResult, as_listeners
 from smarttouch.sources import open_source, options_taken, source_of
 from smarttouch.sources.force import ForceSource, open_force
 from smarttouch.sources.source_contract import (
@@ -431,7 +431,7 @@ def replay(
     True
     """
     from smarttouch.running.recorded_source import RecordedControls, RecordingSource
-    from smarttouch.running.recording import RecordedRun
+    from smarttouch.running.recording_reader import RecordedRun
 
     recording = RecordedRun(path)
     config = recording.run.model_copy(update={"hold": None, "balance": False} | dict(settings))

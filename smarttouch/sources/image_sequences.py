@@ -22,7 +22,7 @@ from smarttouch.base.files import MOST_DOCUMENT_BYTES, require_file
 from smarttouch.imaging.grey_image import GreyConverter, open_image, read_pixels
 from smarttouch.profile import Profile
 from smarttouch.sources.camera import silence_opencv
-from smarttouch.sources.preprocess import FramePreprocessor
+from smarttouch.sources.flat_field_and_motion import FramePreprocessor
 from smarttouch.sources.source_contract import Frame, OpticalSource
 
 USUAL_HZ = 30.0

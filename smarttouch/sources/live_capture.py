@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.profile import Profile
-from smarttouch.sources.preprocess import FramePreprocessor
+from smarttouch.sources.flat_field_and_motion import FramePreprocessor
 from smarttouch.sources.source_contract import (
     DeviceWarnings,
     Frame,

@@ -18,7 +18,7 @@ from smarttouch.base.tactile_image import Frame as Frame
 from smarttouch.base.tactile_image import Pose as Pose
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.imaging.grey_image import GreyConverter
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_and_lines import Page
 from smarttouch.profile import Profile
 from smarttouch.profile.electrodes import ElectrodeArray
 

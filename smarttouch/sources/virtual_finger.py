@@ -17,10 +17,10 @@ from smarttouch.base.errors import PageError, SourceError, require_within
 from smarttouch.base.files import read_csv, read_text
 from smarttouch.pages.document import Document, LockedError
 from smarttouch.pages.ink import is_light_on_dark, separate_ink
-from smarttouch.pages.page_image import INCH_MM, Page, TextLine
+from smarttouch.pages.page_and_lines import INCH_MM, Page, TextLine
 from smarttouch.pages.prepared_page import LAID_FLAT, find_lines, print_text
 from smarttouch.pages.straighten import find_sheet, flattened
-from smarttouch.pages.text_file import FileKind, file_kind, read_document_text, read_plain_text
+from smarttouch.pages.text_documents import FileKind, file_kind, read_document_text, read_plain_text
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
 

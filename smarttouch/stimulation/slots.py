@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.kernels.selectivity import (
+from smarttouch.kernels.slot_selectivity import (
     AIM,
     Certainty,
     FrameBounds,

@@ -15,14 +15,14 @@ from smarttouch.base.afferent import CLASS_COLORS, Afferent
 from smarttouch.base.errors import DesignError, SmartTouchError
 from smarttouch.base.files import write_bytes
 from smarttouch.emulator.drivers import SimulatedDriver
-from smarttouch.imaging.line_picture import Floats, Raster, as_ink
+from smarttouch.imaging.image_reconstruction import Floats, Raster, as_ink
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.pages.page_image import INCH_MM
-from smarttouch.physiology.anatomy import load_anatomy
+from smarttouch.pages.page_and_lines import INCH_MM
+from smarttouch.physiology.afferent_anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import FIELD_MM, MOST_SLOTS, Counts, delivered_spikes, in_color
 from smarttouch.profile import Profile
-from smarttouch.running.step import Listener, RunContext, StepResult
+from smarttouch.running.step_records import Listener, RunContext, StepResult
 from smarttouch.sources.source_contract import Pose, Sheet
 
 FINEST_MM = 0.1

@@ -22,7 +22,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.loop import STEP, Controls, ControlState
 from smarttouch.running.runner import MakeControls, Runner
-from smarttouch.running.step import Listener, RunContext, StepResult
+from smarttouch.running.step_records import Listener, RunContext, StepResult
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source
 from smarttouch.views.keys_and_signals import (
@@ -32,10 +32,10 @@ from smarttouch.views.keys_and_signals import (
     ending_in_order,
 )
 from smarttouch.views.progress import bank_progress
-from smarttouch.views.screen import BlindScreen, Screen
+from smarttouch.views.terminal_screen import BlindScreen, Screen
 
 if TYPE_CHECKING:
-    from smarttouch.running.recording import RecordedRun
+    from smarttouch.running.recording_reader import RecordedRun
     from smarttouch.views.window import Window
 
 OPENED_WITHIN_S = 60.0  # longest wait for a browser if a person must copy the address
@@ -202,7 +202,7 @@ def _keys_of(stop: StopRequest, keys: Keys, run: RunContext) -> Callable[[str], 
 
 def describe_recording(path: Path) -> list[tuple[str, str]]:
     """Return the summary of a recording as pairs of name and value."""
-    from smarttouch.running.recording import RecordedRun
+    from smarttouch.running.recording_reader import RecordedRun
 
     recording = RecordedRun(path)
     settings, steps = recording.settings, [step for _, step in recording.contents("/step")]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import owner_only, unwritable
-from smarttouch.running.step import Listener, RunContext, StepResult
+from smarttouch.running.step_records import Listener, RunContext, StepResult
 
 CARRIER_HZ = 250.0  # best frequency of the Pacinian corpuscle (paper, Sections I and V)
 RATE_HZ = 48_000

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from smarttouch.base.events import Event, RunEnded, RunFailed
 from smarttouch.base.stopping import RunStopped, StopRequest
 from smarttouch.profile import Profile
-from smarttouch.running.step import Listener, RunContext, StepResult
+from smarttouch.running.step_records import Listener, RunContext, StepResult
 from smarttouch.sources.source_contract import Pose, Sheet, Source
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from smarttouch.views.window_pages import LOST_S, ConnectedPage, Pages, Steering
+from smarttouch.views.connected_pages import LOST_S, ConnectedPage, Pages, Steering
 from smarttouch.views.window_server import PageServer, open_browser
 
 MOST_PIXELS = 160  # longer side of the sensor's image, pixels; larger images are reduced

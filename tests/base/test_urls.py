@@ -23,7 +23,7 @@ from smarttouch.sources.force import open_force
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises
-from ..support.packages import install
+from ..support.plugin_packages import install
 
 BOARD = """
 from smarttouch.boards.driver import Driver

@@ -21,7 +21,7 @@ from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.testing.driver_contract import DriverContract
-from tests.boards.fresh import fresh_state, starter
+from tests.boards.emulator_waits import fresh_state, starter
 
 from ..safety.bounds import WHOLE as WHOLE_RISE
 from ..safety.bounds import Bounds
@@ -48,7 +48,7 @@ def claimed_time(request, monkeypatch):
         if not issubclass(request.cls or object, DriverContract):
             monkeypatch.setattr("smarttouch.stimulation.safety_gate.LATE_NS", 3600 * SECOND)
             monkeypatch.setattr(Bounds, "late_rise", WHOLE_RISE)
-        monkeypatch.setattr("smarttouch.emulator.link_rules.RAMP_MS", 0)
+        monkeypatch.setattr("smarttouch.emulator.link_board_limits.RAMP_MS", 0)
 
 
 @pytest.fixture(scope="session")

@@ -8,9 +8,9 @@ import sys
 import numpy as np
 
 import smarttouch.emulator.etactilekit_firmware as kit
-import smarttouch.emulator.link_firmware as link
+import smarttouch.emulator.link_board as link
 from smarttouch.emulator.__main__ import main
-from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.firmware_base import DeliveryLog
 
 fault = sys.argv.pop(1)
 

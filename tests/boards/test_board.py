@@ -21,7 +21,7 @@ from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises
-from .fresh import PATIENCE_S, until
+from .emulator_waits import PATIENCE_S, until
 
 LIMITS = SafetyLimits(
     electrodes=4, current_ma=2.0, pulse_us=200.0, charge_uc=0.4, rate_hz=50.0, duty=0.5,

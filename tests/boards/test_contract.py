@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from firmware.tests.scenes import random_table
+from firmware.tests.random_histories import random_table
 from smarttouch.base.errors import BoardError, BoardRestartedError
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Line
-from smarttouch.boards.kits.etactilekit_line import zero_anywhere
+from smarttouch.boards.kits.etactilekit_protocol import zero_anywhere
 from smarttouch.boards.link import Rule
 from smarttouch.boards.open import make_board
 from smarttouch.emulator.drivers import SimulatedDriver
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
-from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
+from smarttouch.emulator.firmware_base import DeliveryLog, read_slots, read_state
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
-from smarttouch.emulator.link_rules import BrokenRule, LinkRules
+from smarttouch.emulator.link_board_limits import BrokenRule, LinkRules
 from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.probe_scans import probe_sequences
 from smarttouch.testing.driver_contract import (
@@ -26,7 +26,7 @@ from smarttouch.testing.driver_contract import (
     SentPulse,
     planned_pulses,
 )
-from tests.boards.fresh import deliver, fresh_state, until
+from tests.boards.emulator_waits import deliver, fresh_state, until
 
 from ..support.checks import raises
 from ..support.full import WHOLE

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardError, LineLostError
-from smarttouch.boards.kits.etactilekit_line import LOAD, PING, QUIET, READINGS
+from smarttouch.boards.kits.etactilekit_protocol import LOAD, PING, QUIET, READINGS
 from smarttouch.emulator.skin import EmulatedFinger
 from smarttouch.stimulation.safety_gate import SafetyLimits
-from tests.boards.manual_kit import MS, ManualKit, proved
+from tests.boards.simulated_time_kit import MS, ManualKit, proved
 
 from ..support.checks import raises
 from ..support.full import WHOLE

@@ -29,7 +29,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..support.checks import raises
 from ..support.processes import PROGRAM, Forked
-from .fresh import deliver, starter
+from .emulator_waits import deliver, starter
 
 pytestmark = pytest.mark.realtime
 

@@ -14,7 +14,7 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..support.checks import raises
-from .fresh import deliver
+from .emulator_waits import deliver
 
 ZERO = bytes([0xFF]) + bytes(61)
 LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)

@@ -15,8 +15,8 @@ from smarttouch.emulator.drivers import MemoryDriver
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.scans import one_each
-from .fresh import deliver, until
-from .manual_kit import ManualClock
+from .emulator_waits import deliver, until
+from .simulated_time_kit import ManualClock
 
 HOUR_NS = 3600 * 10**9
 ZERO = bytes([0xFF]) + bytes(61)

@@ -27,14 +27,14 @@ from smarttouch.base.errors import (
 )
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards import link as protocol
-from smarttouch.boards.kits.etactilekit_line import zero_anywhere
+from smarttouch.boards.kits.etactilekit_protocol import zero_anywhere
 from smarttouch.boards.link import Message, MessageKind, decode, encode
-from smarttouch.emulator.firmware import read_state
+from smarttouch.emulator.firmware_base import read_state
 
 from ..support.checks import assert_says, raises
 from ..support.full import WHOLE, sample
 from .conftest import FIRMWARES
-from .fresh import HANGS_S
+from .emulator_waits import HANGS_S
 
 pytestmark = pytest.mark.realtime
 
@@ -336,7 +336,7 @@ class Stranger:
 
 @pytest.fixture
 def stranger(monkeypatch):
-    monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.FORGETS_S", 0.1)
+    monkeypatch.setattr("smarttouch.boards.kits.etactilekit_protocol.FORGETS_S", 0.1)
     monkeypatch.setattr("smarttouch.boards.driver.RECOVER_S", 0.3)
     made = []
 

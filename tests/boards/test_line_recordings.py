@@ -16,7 +16,7 @@ from smarttouch.testing import replayed
 
 from ..support.checks import raises
 from ..support.processes import PROGRAM, Forked
-from .fresh import deliver
+from .emulator_waits import deliver
 from .test_kajimoto61 import anodic
 
 pytestmark = pytest.mark.realtime

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from firmware.tests.rig import encode_lists
-from firmware.tests.scenes import random_table, sequence_of
+from firmware.tests.core_and_emulator import encode_lists
+from firmware.tests.random_histories import random_table, sequence_of
 from smarttouch.base.errors import BoardError, LineLostError
 from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer, WirePacket
 from smarttouch.boards import link as protocol
@@ -30,14 +30,14 @@ from smarttouch.boards.link import (
 from smarttouch.boards.link.link_driver import LISTENED_S, LinkSession
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.emulator.drivers import SimulatedDriver
-from smarttouch.emulator.link_firmware import LinkFirmware
+from smarttouch.emulator.link_board import LinkFirmware
+from smarttouch.emulator.link_board_limits import Room
 from smarttouch.emulator.link_packets import decode_head, decode_lists
-from smarttouch.emulator.link_rules import Room
 from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence
 
 from ..support.checks import raises
-from .fresh import until
+from .emulator_waits import until
 
 MS = 1_000_000
 currents = hnp.arrays(

@@ -22,7 +22,7 @@ from smarttouch.boards.run_registry import registry_folder, stop_all, stopped_si
 from smarttouch.cli.live import stop
 
 from ..support.checks import raises
-from .fresh import Display, exit_code, in_child, until, until_zero
+from .emulator_waits import Display, exit_code, in_child, until, until_zero
 
 ID = "0" * 32
 AT_ZERO, UNKNOWN = "has confirmed zero", "switch the board off"
@@ -226,7 +226,7 @@ def test_a_run_that_a_stop_would_not_find_any_more_ends_within_a_second(folder, 
 
 PROGRAM = """
 import sys, time
-from tests.boards.fresh import Display
+from tests.boards.emulator_waits import Display
 with Display() as board:
     print("open", flush=True)
     while not board.zeros:

@@ -17,7 +17,7 @@ from smarttouch.profile.ceilings import CEILING_USER_MA
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises
-from .fresh import PATIENCE_S, Display, exit_code, in_child, until
+from .emulator_waits import PATIENCE_S, Display, exit_code, in_child, until
 
 MOST_UA = round(1000 * CEILING_USER_MA)
 

@@ -20,11 +20,11 @@ from serial import rfc2217
 from smarttouch.base.clock import now_ns
 from smarttouch.base.errors import BoardError
 from smarttouch.base.wire.port import open_port
-from smarttouch.boards.kits import etactilekit_line, watchdog
-from smarttouch.boards.kits.etactilekit_line import WatchedPort
+from smarttouch.boards.kits import etactilekit_protocol, watchdog
+from smarttouch.boards.kits.etactilekit_protocol import WatchedPort
 
 from ..support.checks import raises
-from .fresh import until
+from .emulator_waits import until
 
 pytestmark = pytest.mark.realtime
 
@@ -69,7 +69,7 @@ def port(board):
 
 HOST = """
 import sys, time
-from smarttouch.boards.kits.etactilekit_line import WatchedPort
+from smarttouch.boards.kits.etactilekit_protocol import WatchedPort
 from smarttouch.base.wire.port import open_port
 port = WatchedPort(open_port(sys.argv[1]), bytes.fromhex(sys.argv[2]))
 port.arm()
@@ -110,7 +110,7 @@ def test_a_host_that_stood_still_writes_nothing_any_more(board, port, monkeypatc
     """A host writes nothing once its watchdog has ended, or may have ended (``stale``)."""
     port.arm()
     if stale:
-        monkeypatch.setattr(etactilekit_line, "STALE_NS", 0)
+        monkeypatch.setattr(etactilekit_protocol, "STALE_NS", 0)
     monkeypatch.setattr(port, "_send_beat", lambda: None)
     if not stale:
         until(lambda: port.at_zero)
@@ -145,7 +145,7 @@ def test_a_program_that_was_suspended_writes_nothing_any_more(board, port, monke
     port.arm()
     port.write(b"pattern")
     # Simulate a suspend of the computer, during which only this clock runs.
-    monkeypatch.setattr(etactilekit_line, "now_ns", lambda: now_ns() + 5 * 10**9)
+    monkeypatch.setattr(etactilekit_protocol, "now_ns", lambda: now_ns() + 5 * 10**9)
     with pytest.raises(serial.SerialException):
         port.write(b"another")
     port.close()
@@ -191,7 +191,7 @@ def test_a_port_that_cannot_be_watched_is_refused_and_free(board, monkeypatch, u
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
     if url == "no process":
-        monkeypatch.setattr(etactilekit_line.subprocess, "Popen", refuse)
+        monkeypatch.setattr(etactilekit_protocol.subprocess, "Popen", refuse)
     port = rfc2217.Serial() if url == "rfc2217" else open_port(url if ":" in url else board.name)
     with raises(BoardError):
         WatchedPort(port, ZERO)

@@ -10,7 +10,7 @@ from smarttouch.braille.code_tables import MISSING_NOTE, known_tables, open_tabl
 from smarttouch.braille.grade1 import Grade1
 
 from ..support.checks import numbers_in, raises
-from .liblouis import needs_liblouis
+from .needs_liblouis import needs_liblouis
 
 SIX_DOTS = set(map(chr, range(0x2800, 0x2840)))
 TABLES = ["en-1", *(["en-2", "de-1", "fr-1"] if louis.version() else [])]

@@ -11,7 +11,7 @@ from smarttouch.braille.cells import is_cell
 from smarttouch.braille.grade1 import Grade1
 from smarttouch.braille.louis import LouisCode
 
-from .liblouis import needs_liblouis
+from .needs_liblouis import needs_liblouis
 
 ENGLISH = Grade1()
 

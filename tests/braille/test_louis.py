@@ -9,7 +9,7 @@ from smarttouch.braille.code_tables import open_table
 from smarttouch.braille.louis import LouisCode
 
 from ..support.checks import raises
-from .liblouis import needs_liblouis
+from .needs_liblouis import needs_liblouis
 
 
 @needs_liblouis

@@ -21,7 +21,7 @@ from PIL import Image
 from smarttouch import cli
 from smarttouch.base.errors import SmartTouchError
 
-from ..boards.fresh import starter
+from ..boards.emulator_waits import starter
 from ..support.checks import assert_says
 from ..support.processes import PROGRAM, Forked, emulator
 

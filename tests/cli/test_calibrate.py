@@ -13,12 +13,12 @@ from smarttouch.base.errors import BoardError, CalibrationError, ProfileError, S
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.emulator.device_lines import PtyLine
 from smarttouch.emulator.devices import EmulatedLoadCell, Server
-from smarttouch.emulator.firmware import read_state
-from smarttouch.experiments.sensor_optics import target_for
+from smarttouch.emulator.firmware_base import read_state
+from smarttouch.experiments.sensor_calibration import target_for
 from smarttouch.profile import load_profile
-from smarttouch.sources.preprocess import FlatField
+from smarttouch.sources.flat_field_and_motion import FlatField
 
-from ..boards.fresh import fresh_state, until
+from ..boards.emulator_waits import fresh_state, until
 from ..experiments.simulated_sensors import SimulatedPatch, View
 from .conftest import PRESSED, says
 

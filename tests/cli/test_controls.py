@@ -13,9 +13,9 @@ import pytest
 from smarttouch.base.afferent import Mode
 from smarttouch.profile import load_profile
 from smarttouch.profile.settled_levels import levels_file
-from smarttouch.running.recording import RecordedRun
+from smarttouch.running.recording_reader import RecordedRun
 
-from ..boards.fresh import until
+from ..boards.emulator_waits import until
 from ..support.processes import PROGRAM, Forked
 
 RUN = ("live", "--seconds", "60", "--json", "run.json", "--record", "run.mcap")

@@ -8,9 +8,9 @@ import time
 
 import pytest
 
-from smarttouch.emulator.firmware import STATE_FILE, read_slots, read_state
+from smarttouch.emulator.firmware_base import STATE_FILE, read_slots, read_state
 
-from ..boards.fresh import fresh_state, until
+from ..boards.emulator_waits import fresh_state, until
 from ..support.full import sample
 from ..support.processes import PROGRAM, Forked
 from .conftest import refused, says

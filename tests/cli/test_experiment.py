@@ -15,7 +15,7 @@ import pytest
 import smarttouch as st
 from smarttouch.base.errors import ExperimentError, ProfileError, SmartTouchError
 from smarttouch.experiments.procedures import constant_stimuli, ratio_pairs
-from smarttouch.running.recording import RecordedRun
+from smarttouch.running.recording_reader import RecordedRun
 
 from ..experiments.simulated import Subject, answer_all, read_rows
 from ..support.checks import assert_says

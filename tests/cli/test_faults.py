@@ -8,10 +8,10 @@ import sys
 import pytest
 
 from smarttouch import cli
-from smarttouch.emulator.firmware import read_state
+from smarttouch.emulator.firmware_base import read_state
 from smarttouch.running.pipeline import Pipeline
 
-from ..boards.fresh import until
+from ..boards.emulator_waits import until
 from ..support.full import sample
 from .conftest import PRESSED
 
@@ -84,7 +84,7 @@ def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
         monkeypatch.setattr(Pipeline, "warm_up", lambda _: None)
         monkeypatch.setattr(Pipeline, "process", broken)
     else:
-        monkeypatch.setattr("smarttouch.views.screen.Screen.step", broken)
+        monkeypatch.setattr("smarttouch.views.terminal_screen.Screen.step", broken)
     monkeypatch.setattr(
         sys, "argv", ["smarttouch", "live", "--board", f"link:{port}", *PRESSED, "--intensity", "1"]
     )

@@ -12,10 +12,10 @@ import pytest
 from mcap.reader import make_reader
 
 from smarttouch.base.files import data_folder
-from smarttouch.emulator.firmware import read_slots
+from smarttouch.emulator.firmware_base import read_slots
 from smarttouch.profile import list_profiles, load_profile
 
-from ..boards.fresh import fresh_state
+from ..boards.emulator_waits import fresh_state
 from ..support.full import sample
 from ..support.processes import PROGRAM, Forked
 from .conftest import panels

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from smarttouch.base.errors import RecordingError
-from smarttouch.running.recording import RecordedRun
+from smarttouch.running.recording_reader import RecordedRun
 
 from ..support.full import sample
 from .test_window import page_of

@@ -20,7 +20,7 @@ from smarttouch.base.errors import (
 )
 from smarttouch.braille.code_tables import open_table
 from smarttouch.pages.prepared_page import print_text
-from smarttouch.running.recording import RecordedRun
+from smarttouch.running.recording_reader import RecordedRun
 
 from ..braille.drawn_dots import draw_dots
 from .conftest import panels, refused, says

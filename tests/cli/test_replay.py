@@ -10,7 +10,7 @@ import pytest
 
 from smarttouch.base.errors import BoardError, RecordingError, SourceError
 
-from ..boards.fresh import fresh_state
+from ..boards.emulator_waits import fresh_state
 from ..running.forged_recordings import put_together, take_apart
 from .conftest import refused, says
 

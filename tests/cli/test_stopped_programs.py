@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.emulator.firmware import read_state
-from smarttouch.running.recording import RecordedRun
+from smarttouch.emulator.firmware_base import read_state
+from smarttouch.running.recording_reader import RecordedRun
 
-from ..boards.fresh import starter, until
+from ..boards.emulator_waits import starter, until
 from ..support.full import WHOLE, sample
 
 pytestmark = pytest.mark.realtime
 
 PATIENCE_S = 60
-SOURCE = Path(__file__).with_name("programs.py")
+SOURCE = Path(__file__).with_name("programs_to_stop.py")
 REFUSED = dict.fromkeys(("again", "another", "another run"), "BoardStoppedError")
 
 

@@ -10,9 +10,9 @@ import pytest
 
 from smarttouch.boards.run_registry import registry_folder
 from smarttouch.emulator.device_lines import PtyLine
-from smarttouch.emulator.firmware import read_state
+from smarttouch.emulator.firmware_base import read_state
 
-from ..boards.fresh import until
+from ..boards.emulator_waits import until
 from ..support.full import sample
 from ..support.processes import PROGRAM, Forked
 from .conftest import PRESSED

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from smarttouch.base.files import data_folder
-from smarttouch.running.recording import RecordedRun
+from smarttouch.running.recording_reader import RecordedRun
 from smarttouch.running.replay_check import check_recording
 
 from ..support.full import sample

@@ -11,7 +11,7 @@ import pytest
 from websockets.sync.client import connect
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.running.recording import RecordedRun
+from smarttouch.running.recording_reader import RecordedRun
 
 from .conftest import refused, says
 

@@ -18,12 +18,12 @@ import pytest
 from smarttouch.emulator.__main__ import main
 from smarttouch.emulator.device_lines import TcpLine
 from smarttouch.emulator.devices import EmulatedLoadCell, SensorArray, SensorFirmware, Server
-from smarttouch.emulator.firmware import read_slots, read_state
+from smarttouch.emulator.firmware_base import read_slots, read_state
 from smarttouch.sources import open_source
 from smarttouch.sources.force import open_force
 from smarttouch.sources.serial_sensors import CellReading, MessageStream, TextReadings
 
-from ..boards.fresh import starter, until
+from ..boards.emulator_waits import starter, until
 from ..support.processes import Forked, emulator
 
 MS = 10**6

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
-from smarttouch.emulator.firmware import DeliveryLog, read_slots
+from smarttouch.emulator.firmware_base import DeliveryLog, read_slots
 from smarttouch.emulator.kajimoto61_firmware import ELECTRODES, Kajimoto61Firmware
 from smarttouch.emulator.skin import EmulatedFinger
 

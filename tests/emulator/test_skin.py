@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
 
 from smarttouch.base.errors import BoardError
-from smarttouch.emulator.firmware import RECHARGE, DeliveryLog, read_slots, read_state
+from smarttouch.emulator.firmware_base import RECHARGE, DeliveryLog, read_slots, read_state
 from smarttouch.emulator.skin import (
     FORMS,
     Delivered,

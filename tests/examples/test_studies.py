@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from studies import af_error
-from studies.finger_effects import (
+from studies.effects_on_fingers import (
     CLEAR_MA,
     against_all,
     fired,
@@ -29,9 +29,9 @@ from studies.receptor_spikes import skin_spikes
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ReadingError
-from smarttouch.instruments.skin_trace import open_trace
+from smarttouch.instruments.vibration_trace import open_trace
 from smarttouch.kernels.bank import load_bank
-from smarttouch.physiology.anatomy import load_anatomy
+from smarttouch.physiology.afferent_anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.membrane import threshold_ma
 from smarttouch.physiology.spikes import SpikeModel

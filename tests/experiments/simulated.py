@@ -9,13 +9,13 @@ import numpy as np
 from scipy.special import ndtr
 
 from smarttouch.base.stopping import StopRequest
-from smarttouch.experiments.answers import COLUMNS, Answers, parse_cells
+from smarttouch.experiments.answer_file import COLUMNS, Answers, parse_cells
 from smarttouch.experiments.experiment_session import open_experiment
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.loop import Controls
 from smarttouch.running.runner import Runner
-from smarttouch.running.step import OnEvent, OnStep
+from smarttouch.running.step_records import OnEvent, OnStep
 
 
 @dataclass(frozen=True)

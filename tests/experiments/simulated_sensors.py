@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from smarttouch.experiments.calibration import STANDARD_GRAVITY
-from smarttouch.experiments.sensor_optics import picture
+from smarttouch.experiments.contact_and_force_calibration import STANDARD_GRAVITY
+from smarttouch.experiments.sensor_calibration import picture
 
 
 @dataclass

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.answers import AnswerTable, usual_model
+from smarttouch.experiments.answer_file import AnswerTable, usual_model
 from smarttouch.experiments.findings import (
     discrimination_figure,
     judge_answers,

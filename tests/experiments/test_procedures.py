@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.experiments.answers import usual_model
+from smarttouch.experiments.answer_file import usual_model
 from smarttouch.experiments.findings import judge_answers
 from smarttouch.experiments.procedures import (
     RATIOS,

@@ -22,7 +22,7 @@ from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.loop import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.step import Listener
+from smarttouch.running.step_records import Listener
 
 from ..support.checks import raises
 from ..support.runs import loop_through

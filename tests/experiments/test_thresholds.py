@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from smarttouch.base.errors import CalibrationError, ExperimentError, LineLostError
 from smarttouch.base.stopping import StopRequest
 from smarttouch.emulator.drivers import MemoryDriver
-from smarttouch.experiments.calibration import file_to_calibrate
+from smarttouch.experiments.contact_and_force_calibration import file_to_calibrate
 from smarttouch.experiments.thresholds import (
     MOST_HURRIED,
     STOP_KEYS,
@@ -32,7 +32,7 @@ from smarttouch.profile import list_profiles, load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
-from smarttouch.running.step import Listener, OnStep
+from smarttouch.running.step_records import Listener, OnStep
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises

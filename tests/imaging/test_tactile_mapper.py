@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.imaging.array_window import profile_for_reading
+from smarttouch.imaging.reading_profile import profile_for_reading
 from smarttouch.imaging.tactile_mapper import (
     FAINTEST_CHANGE,
     LEAVING,

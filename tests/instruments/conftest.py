@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.imaging.array_window import profile_for_reading
+from smarttouch.imaging.reading_profile import profile_for_reading
 from smarttouch.profile import load_profile
 
 

@@ -10,7 +10,7 @@ from smarttouch.base.errors import DesignError
 from smarttouch.kernels.bank import design_bank, find_bank, load_bank, problem_hash, write_bank
 from smarttouch.kernels.batch_design import design_sites, tiles_of
 from smarttouch.kernels.design_problem import Problem
-from smarttouch.kernels.kernel_tables import find_kernels
+from smarttouch.kernels.kernel_report import find_kernels
 from smarttouch.kernels.minmax_design import design_kernel
 from smarttouch.kernels.switched_design import (
     design_one_of_n,

@@ -10,7 +10,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_and_lines import Page
 
 INCH_MM = 25.4
 MARGIN_MM = 15.0

@@ -6,7 +6,7 @@ import pytest
 from skimage import data
 
 from smarttouch.pages.ink import is_light_on_dark, separate_ink
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_and_lines import Page
 from smarttouch.pages.prepared_page import FAINT, prepare_page
 
 from .printed import PAPERS, blank_papers, degrade, print_page, some_lines

@@ -3,7 +3,7 @@
 import pytest
 
 from smarttouch.pages.document import Document
-from smarttouch.reading.reading_input import ReadingMaterial
+from smarttouch.reading.reading_material import ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions, upright_page
 
 from .printed import print_page

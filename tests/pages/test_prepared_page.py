@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import PageError
-from smarttouch.pages.page_image import TextLine
+from smarttouch.pages.page_and_lines import TextLine
 from smarttouch.pages.prepared_page import prepare_page, prepare_text, print_text
 from smarttouch.pages.straighten import SIDES, cut_strip
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from skimage import data
 
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_and_lines import Page
 from smarttouch.pages.prepared_page import find_lines, prepare_page
 from smarttouch.pages.straighten import find_sheet
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skimage import data
 
-from smarttouch.pages.page_image import Page, TextLine
+from smarttouch.pages.page_and_lines import Page, TextLine
 from smarttouch.pages.prepared_page import find_lines, prepare_page
 
 from ..support.full import sample

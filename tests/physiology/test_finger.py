@@ -10,13 +10,13 @@ import smarttouch
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ProfileError
 from smarttouch.physiology.activating_function import potential_mv
-from smarttouch.physiology.anatomy import load_anatomy
+from smarttouch.physiology.afferent_anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger, axon_path_points
 from smarttouch.physiology.membrane import FIBERS, load_driving
 from smarttouch.physiology.spikes import SpikeModel, ignore_nan, middle_90, response_quality
 from smarttouch.profile import load_profile
 
-from ..fit_fibers import fiber_fit
+from ..fit_fibers_modules import fiber_fit
 from ..support.checks import assert_close, raises
 from ..support.full import sample
 

@@ -19,7 +19,7 @@ from smarttouch.physiology.membrane import (
     weiss_fit,
 )
 
-from ..fit_fibers import fiber_fit
+from ..fit_fibers_modules import fiber_fit
 from ..support.checks import raises
 from ..support.full import sample
 

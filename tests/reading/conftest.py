@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smarttouch.imaging.array_window import pixel_pitch_mm, profile_for_reading
+from smarttouch.imaging.reading_profile import pixel_pitch_mm, profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.reading.line_source import TouchLine

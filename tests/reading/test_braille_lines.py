@@ -13,8 +13,8 @@ from smarttouch.base.errors import BrailleError, PageError, ReadingError
 from smarttouch.braille.brf import format_brf
 from smarttouch.braille.cells import dots_to_cells
 from smarttouch.braille.code_tables import open_table
-from smarttouch.imaging.array_window import profile_for_reading
-from smarttouch.imaging.line_picture import PIXELS_PER_PITCH
+from smarttouch.imaging.image_reconstruction import PIXELS_PER_PITCH
+from smarttouch.imaging.reading_profile import profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.profile import load_profile
@@ -26,7 +26,7 @@ from smarttouch.reading.braille_lines import (
     document_cells,
 )
 from smarttouch.reading.legibility import LineDelivery, deliver_pulses
-from smarttouch.reading.reading_input import ReadingMaterial
+from smarttouch.reading.reading_material import ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions
 
 from ..support.checks import raises

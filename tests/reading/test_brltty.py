@@ -16,7 +16,7 @@ from smarttouch.base.errors import SourceError
 from smarttouch.braille.cells import dots_to_cells
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille_lines import cell_layout
-from smarttouch.reading.brltty import (
+from smarttouch.reading.brltty_display import (
     MOST_CELLS,
     REST_S,
     BrailleDisplaySource,

@@ -8,8 +8,8 @@ import pytest
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ExperimentError, ReadingError
-from smarttouch.imaging.array_window import usual_speed_mm_s
-from smarttouch.imaging.line_picture import PIXELS_PER_PITCH
+from smarttouch.imaging.image_reconstruction import PIXELS_PER_PITCH
+from smarttouch.imaging.reading_profile import usual_speed_mm_s
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import ReadingError
-from smarttouch.imaging.array_window import (
+from smarttouch.imaging.reading_profile import (
     pixel_pitch_mm,
     reading_force_n,
 )

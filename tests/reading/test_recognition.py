@@ -13,7 +13,7 @@ import pytest
 from PIL import Image, ImageDraw, ImageFont
 
 from smarttouch.base.errors import ReadingError
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_and_lines import Page
 from smarttouch.pages.prepared_page import prepare_text, print_text
 from smarttouch.reading.legibility import character_error_rate
 from smarttouch.reading.recognition import (

@@ -14,7 +14,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorder import Recorder
 from smarttouch.running.recording_format import about_run, digest_of
-from smarttouch.running.step import StepResult
+from smarttouch.running.step_records import StepResult
 from smarttouch.sources.source_contract import Frame, Pose
 from smarttouch.stimulation.scan_sequence import ScanTiming
 

@@ -4,8 +4,8 @@ import json
 
 from mcap.writer import Writer
 
-from smarttouch.running.recording import RecordedRun
 from smarttouch.running.recording_format import digest_of
+from smarttouch.running.recording_reader import RecordedRun
 
 
 def take_apart(path):

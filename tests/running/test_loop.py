@@ -18,7 +18,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.loop import Controls, ControlState, Loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import GUARD_NS, PhaseLock, RunStatistics, Sent
-from smarttouch.running.step import OnEvent, as_listeners
+from smarttouch.running.step_records import OnEvent, as_listeners
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 from smarttouch.stimulation.safety_gate import SafetyLimits

@@ -14,8 +14,8 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.loop import ControlState
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorded_source import RecordedControls, open_recording
-from smarttouch.running.recording import RecordedRun
-from smarttouch.running.step import StepResult
+from smarttouch.running.recording_reader import RecordedRun
+from smarttouch.running.step_records import StepResult
 
 from ..support.checks import raises
 from .forged_recordings import put_together, take_apart

@@ -20,10 +20,10 @@ from smarttouch.base.errors import RecordingError
 from smarttouch.base.events import Note
 from smarttouch.running import recorder as module
 from smarttouch.running.recorder import Recorder
-from smarttouch.running.recording import RecordedRun
 from smarttouch.running.recording_format import SCHEMAS
+from smarttouch.running.recording_reader import RecordedRun
 from smarttouch.running.replay_check import check_recording
-from smarttouch.running.step import Step, StepResult
+from smarttouch.running.step_records import Step, StepResult
 from smarttouch.sources.source_contract import Frame
 
 from ..support.checks import raises

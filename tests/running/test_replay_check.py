@@ -15,9 +15,9 @@ from smarttouch.base.errors import RecordingError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline, Regulator
-from smarttouch.running.recording import RecordedRun
+from smarttouch.running.recording_reader import RecordedRun
 from smarttouch.running.replay_check import KEPT, assert_replays, check_recording
-from smarttouch.running.step import StepResult
+from smarttouch.running.step_records import StepResult
 from smarttouch.stimulation.charge_balance import ChargeBalance, RechargeRules
 from smarttouch.stimulation.scan_sequence import ScanTiming
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.running.run_statistics import LatencyHistogram, RunStatistics
-from smarttouch.running.step import Step, StepResult
+from smarttouch.running.step_records import Step, StepResult
 from smarttouch.sources.source_contract import Frame, Pose
 from smarttouch.stimulation.scan_sequence import ScanSequence, SelectivityReport
 

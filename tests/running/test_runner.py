@@ -12,7 +12,7 @@ import smarttouch as st
 from smarttouch.base.errors import BoardClosedError, BoardError, BoardStoppedError
 from smarttouch.base.events import Advice, IntensityChanged, ModeChanged, RunEnded
 from smarttouch.base.stopping import StopRequest
-from smarttouch.emulator.link_firmware import LinkFirmware
+from smarttouch.emulator.link_board import LinkFirmware
 from smarttouch.kernels.bank import load_bank
 from smarttouch.plugins import ForceSource
 from smarttouch.profile.profile_tables import Calibrated

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.emulator.firmware import read_slots
+from smarttouch.emulator.firmware_base import read_slots
 from smarttouch.emulator.skin import SPREAD
 
 from .bounds import MEAN_UA, STRONG_A_SECOND

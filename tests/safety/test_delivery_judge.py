@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.firmware_base import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 
 from .bounds import Bounds
-from .by_hand import FULL
 from .delivery_judge import Pulses, judge_pulses
 from .displays import display
+from .short_sequences import FULL
 
 MS = 1000
 

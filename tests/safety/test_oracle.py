@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from .bounds import NS, WHOLE, Bounds
-from .by_hand import FULL, pair, sequence
 from .displays import display
 from .drafts import intensity_of
 from .oracle import Oracle
+from .short_sequences import FULL, pair, sequence
 
 OPENED_NS, STEPS = 5 * NS // 10, 5
 START = 3 * NS
@@ -222,7 +222,7 @@ def test_bounds_of_profiles():
 ORACLE = ("bounds", "quick", "oracle", "delivery_judge")
 """Modules of the oracle. Other modules of this folder compare the oracle with the gate."""
 MAY = (
-    "smarttouch.profile", "smarttouch.profile.electrodes", "smarttouch.emulator.firmware",
+    "smarttouch.profile", "smarttouch.profile.electrodes", "smarttouch.emulator.firmware_base",
     "smarttouch.emulator.skin",
 )  # fmt: skip
 """Modules of the package that the oracle may import: profiles, geometry, logs of emulators."""

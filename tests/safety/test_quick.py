@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from .by_hand import FULL, pair, sequence
 from .quick import judge_alone
+from .short_sequences import FULL, pair, sequence
 
 
 def shaken(*strengths):

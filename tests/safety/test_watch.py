@@ -11,8 +11,8 @@ from smarttouch.stimulation.safety_gate import Ramp, SafetyGate, SafetyLimits
 from ..support.scans import unproved
 from . import watch
 from .bounds import Bounds
-from .by_hand import pair, sequence
 from .gate_under_test import ManualClock
+from .short_sequences import pair, sequence
 
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 SILENT = sequence([], intensity=0.0, time_ns=0)
@@ -49,7 +49,7 @@ def test_what_a_gate_should_not_have_accepted(blind):
 def test_a_simulated_board(blind, taken, monkeypatch):
     """Pulses are judged when `take_pulses` returns them; the rest when the board is closed."""
     # With a ramp, or with the limits of the watch, the board itself would refuse the pulse.
-    monkeypatch.setattr("smarttouch.emulator.link_rules.RAMP_MS", 0)
+    monkeypatch.setattr("smarttouch.emulator.link_board_limits.RAMP_MS", 0)
     wider = replace(LIMITS, current_ma=4.0, full_ma=4.0)
     vars(wider)[watch.OF_PROFILE] = Bounds.of_limits(LIMITS)
     driver = SimulatedDriver("", wider)

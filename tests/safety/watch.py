@@ -10,7 +10,7 @@ import pytest
 
 from smarttouch.boards.board import Board
 from smarttouch.emulator.drivers import SimulatedDriver
-from smarttouch.emulator.firmware import DELIVERED_FILE, STATE_FILE
+from smarttouch.emulator.firmware_base import DELIVERED_FILE, STATE_FILE
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 

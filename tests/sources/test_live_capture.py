@@ -15,8 +15,8 @@ import pytest
 from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.sources import camera, live_capture, open_source
 from smarttouch.sources.camera import COMPRESSED, CameraDevice
+from smarttouch.sources.flat_field_and_motion import FlatField
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
-from smarttouch.sources.preprocess import FlatField
 
 from ..support.checks import numbers_in, raises
 from ..support.runs import until

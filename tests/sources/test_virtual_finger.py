@@ -10,7 +10,7 @@ from PIL import Image
 
 from smarttouch.base.errors import SourceError
 from smarttouch.base.files import data_folder
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_and_lines import Page
 from smarttouch.pages.prepared_page import find_lines, print_text
 from smarttouch.sources import open_source
 from smarttouch.sources.source_contract import Pose

@@ -32,7 +32,7 @@ _IMPORTED = (
     "smarttouch.boards.kits.etactilekit", "smarttouch.boards.kits.kajimoto61",
     "smarttouch.boards.link.link_driver", "smarttouch.emulator.__main__",
     "smarttouch.emulator.etactilekit_firmware", "smarttouch.emulator.kajimoto61_firmware",
-    "smarttouch.emulator.link_firmware", "smarttouch.experiments.calibration",
+    "smarttouch.emulator.link_board", "smarttouch.experiments.contact_and_force_calibration",
     "smarttouch.reading.braille_lines", "smarttouch.reading.letter_shapes",
     "smarttouch.running.replay_check",
     "smarttouch.running.recorder", "smarttouch.sources.virtual_finger",

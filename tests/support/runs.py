@@ -6,7 +6,7 @@ from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.stopping import StopRequest
 from smarttouch.running.loop import Controls, ControlState, Loop
 from smarttouch.running.run_statistics import RunStatistics
-from smarttouch.running.step import as_listeners
+from smarttouch.running.step_records import as_listeners
 
 
 def loop_through(source, pipeline, board, *listeners, **options):

@@ -7,9 +7,9 @@ from PIL import Image
 import smarttouch as st
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_and_lines import Page
 from smarttouch.physiology.spikes import DeliveredSlots, SpikeModel, delivered_spikes
-from smarttouch.running.step import Step, StepResult
+from smarttouch.running.step_records import Step, StepResult
 from smarttouch.sources.source_contract import Frame, Pose, Sheet
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.views.delivered_drawing import PageDrawing, SpikeMap

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.running.step import Step, StepResult
+from smarttouch.running.step_records import Step, StepResult
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.views.vibrator import FADE_S, HOLD_S, RATE_HZ
 

@@ -16,12 +16,12 @@ from websockets.sync.client import connect as open_socket
 from smarttouch.base.afferent import Mode
 from smarttouch.base.events import Note, RunFailed, TrialEvent
 from smarttouch.base.stopping import StopRequest
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_and_lines import Page
 from smarttouch.running.loop import Controls, ControlState
 from smarttouch.sources.source_contract import Sheet
-from smarttouch.views import window_pages
+from smarttouch.views import connected_pages
+from smarttouch.views.connected_pages import LOST_S, MOST_PAGES, Steering
 from smarttouch.views.window import sheet_png
-from smarttouch.views.window_pages import LOST_S, MOST_PAGES, Steering
 from smarttouch.views.window_server import MOST_MESSAGE_BYTES
 
 from ..support.runs import until
@@ -233,7 +233,7 @@ def test_the_page_that_is_read_is_served_where_there_is_one(running, monkeypatch
 @pytest.mark.parametrize("alone", [True, False])
 def test_a_page_that_falls_silent_steers_no_longer(monkeypatch, alone):
     now_s = [100.0]
-    monkeypatch.setattr(window_pages.time, "monotonic", lambda: now_s[0])
+    monkeypatch.setattr(connected_pages.time, "monotonic", lambda: now_s[0])
     controls = Controls(ControlState(Mode.RA, 0.5), (Mode.RA, Mode.SAI))
     pages = Steering(controls, StopRequest(), {}, alone=alone)
     pages.steer(1)

@@ -1,14 +1,14 @@
 /* A kit's board on an ESP32 (Arduino-ESP32 3.x), with the pins of Kajimoto's own sketches: registers
  * at 13 and 14, converter at 18, 23 and 22.
  *
- * NOT SEEN on hardware. Check the pins and na_per_count (in st_kit.c) against your own board, and go
+ * NOT SEEN on hardware. Check the pins and na_per_count (in st_shift_registers.c) against your own board, and go
  * through the checklist of firmware/README.md on a dummy load first. A timer's interrupt ends
  * each pulse here: let a monostable on BL end it as well, for when the processor stands still.
  */
 #include <Arduino.h>
 #include <SPI.h>
 
-#include <st_kit.h>
+#include <st_shift_registers.h>
 
 static const st_kit &kit = st_kajimoto61;
 

@@ -19,7 +19,7 @@
  */
 #include <string.h>
 
-#include "st_kit.h"
+#include "st_shift_registers.h"
 
 #ifndef ST_KIT
 #define ST_KIT st_kajimoto61

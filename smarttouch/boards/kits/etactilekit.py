@@ -1,6 +1,6 @@
 """Driver of the eTactileKit, which scans by its own clock; the host loads patterns.
 
-The wire format and safe dialogues are in `etactilekit_line`.
+The wire format and safe dialogues are in `etactilekit_protocol`.
 
 The board reads its pattern when a scan starts. The driver loads a pattern, enables pulses for the
 requested number of scans, and stops pulses. The board does not report scans, but each scan changes
@@ -25,9 +25,9 @@ from smarttouch.base.errors import (
     choice_of,
 )
 from smarttouch.boards.driver import Driver, Line
-from smarttouch.boards.kits import etactilekit_line as wire
+from smarttouch.boards.kits import etactilekit_protocol as wire
 from smarttouch.boards.kits import one_against_all, require_kit, steps_of
-from smarttouch.boards.kits.etactilekit_line import ETactileKitLine, Readings, Settings, Span
+from smarttouch.boards.kits.etactilekit_protocol import ETactileKitLine, Readings, Settings, Span
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits

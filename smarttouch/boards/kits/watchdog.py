@@ -6,7 +6,7 @@ suspended, no heartbeats arrive. In both cases the watchdog writes the zero comm
 
 The watchdog has its own POSIX session, so that Ctrl-C, a closed terminal and a kill of the process
 group of the program do not reach it. It imports only the standard library, and starts within about
-20 ms. The program's side is `WatchedPort` in etactilekit_line.
+20 ms. The program's side is `WatchedPort` in etactilekit_protocol.
 
 Arguments are the file descriptors of port and ``control``, and the zero command in hex. Each byte
 from ``control`` is a heartbeat. Before the first heartbeat nothing is written, because the port
