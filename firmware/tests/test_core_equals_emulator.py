@@ -30,7 +30,7 @@ def make_core():
 
 @pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
 @pytest.mark.parametrize(
-    "seed", [0, 1, *(pytest.param(each, marks=pytest.mark.long) for each in (2, 3))]
+    "seed", [0, *(pytest.param(each, marks=pytest.mark.long) for each in (1, 2, 3))]
 )
 def test_answers_and_pulses_are_the_emulators(make_core, output, seed):
     ramp_ms = (0, 500)[seed % 2]

@@ -20,6 +20,7 @@ from smarttouch.boards.link import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import encode_limits
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
+from tests.support.full import sample
 from tests.support.processes import PROGRAM, Forked
 from tests.support.runs import until
 
@@ -259,7 +260,7 @@ class Host(Talk):
         return struct.unpack_from("<I", payload, 4)[0], payload[16], payload[32]
 
 
-@pytest.mark.parametrize("kit", KITS)
+@pytest.mark.parametrize("kit", sample(KITS))
 def test_what_is_sent_is_what_registers_and_converter_get(start, kit):
     electrodes, ua_per_count = KITS[kit]
     machine = start(kit)

@@ -29,6 +29,7 @@ from firmware.tests.refusal_model import FULL, Limits, Scan
 from smarttouch.boards import link as protocol
 from smarttouch.boards.link import MessageKind, Refusal
 from tests.support.full import WHOLE as IS_WHOLE
+from tests.support.full import sample
 
 SCANS = 2500 if IS_WHOLE else 150
 """Number of scans in each of four random histories."""
@@ -67,7 +68,7 @@ def lived(make_life, built, play, both=False):
     )
 
 
-@pytest.mark.parametrize("play", LIVES)
+@pytest.mark.parametrize("play", sample(LIVES))
 def test_each_rule_at_its_edge(make_life, play):
     lived(make_life, library(), play, both=True)
 
@@ -211,7 +212,7 @@ def test_at_whatever_time_the_switch_opens(make_life, at_us, look_us):
     assert core.driven_pc() == driven_pc
 
 
-@pytest.mark.parametrize("piece", [1, 7, 64, 1000])
+@pytest.mark.parametrize("piece", sample([1, 7, 64, 1000], 3))
 def test_sha_256(piece):
     """Examples of FIPS 180-4, and all lengths up to 129 bytes (a block has 64 bytes)."""
     core = ctypes.CDLL(str(library()))

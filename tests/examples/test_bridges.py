@@ -35,7 +35,7 @@ def puts(monkeypatch):
 
 
 def start(name, *arguments):
-    main = runpy.run_path(str(BRIDGES / f"{name}_bridge.py"))["main"]
+    main = runpy.run_path(str(BRIDGES / f"{name}.py"))["main"]
     bridge = threading.Thread(target=main, args=arguments, daemon=True)
     bridge.start()
     return bridge
@@ -50,7 +50,7 @@ def test_osc(puts, capsys):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         line.bind(("127.0.0.1", 0))
         port = line.getsockname()[1]
-    bridge = start("osc", "memory:", "0.6", None, str(port))
+    bridge = start("osc_bridge", "memory:", "0.6", None, str(port))
     with clients.SimpleUDPClient("127.0.0.1", port) as client:
         while not (has(puts, DOT) and has(puts, LINE) and has(puts, np.zeros(64))):
             assert bridge.is_alive()
@@ -71,7 +71,7 @@ def test_lsl(puts, capsys):
     pylsl = pytest.importorskip("pylsl")
     name = f"smarttouch-test-{uuid.uuid4().hex}"
     outlet = pylsl.StreamOutlet(pylsl.StreamInfo(name, "Tactile", 64, 60, "float32", name))
-    bridge = start("lsl", name, "memory:", "0.6")
+    bridge = start("lsl_bridge", name, "memory:", "0.6")
     (found, *_) = pylsl.resolve_byprop("name", "smarttouch-markers", timeout=60)
     markers, marker = pylsl.StreamInlet(found), None
     markers.open_stream(timeout=60)
@@ -123,7 +123,7 @@ def test_ros_images(puts, capsys, tmp_path, encoding):
             writer.write_message("/camera", schema, message, time_ns, time_ns)
         writer.finish()
     begun_s = time.monotonic()
-    start("mcap", tmp_path / "bag.mcap", "/camera", "memory:", "0.6").join(60)
+    start("mcap_playback", tmp_path / "bag.mcap", "/camera", "memory:", "0.6").join(60)
     assert time.monotonic() - begun_s >= 0.57
     np.testing.assert_array_equal(puts[0].reshape(64, 64, -1)[:, :, 0], LINE)
     count, _, delivered, *_ = capsys.readouterr().out.split()

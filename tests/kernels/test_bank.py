@@ -27,7 +27,6 @@ from smarttouch.kernels.minmax_design import design_kernel
 from smarttouch.profile import list_profiles, load_profile
 
 from ..support.checks import raises
-from ..support.full import sample
 
 
 @pytest.fixture
@@ -58,8 +57,9 @@ def test_shipped_banks_answer_their_profiles(name, cache, monkeypatch):
     assert not cache.exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
-    ("afferent", "site"), sample([(Afferent.SAI, 27), (Afferent.RA, 0), (Afferent.PC, 9)], 3)
+    ("afferent", "site"), [(Afferent.SAI, 27), (Afferent.RA, 0), (Afferent.PC, 9)]
 )
 def test_shipped_kernels_can_be_reproduced(profile, bank, afferent, site):
     kernel = design_kernel(Problem(profile, afferent), site)

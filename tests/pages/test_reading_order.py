@@ -163,7 +163,7 @@ def test_no_text_is_lost_or_read_twice(placed, leftward):
         ("form", "flat", 100), ("index", "flat", 100), ("playbill", "flat", 101),
         ("sidebar", "flat", 100), ("three_columns", "photographed", 100),
         ("bilingual", "photographed", 100),
-    ], 3),
+    ], 6),
 )  # fmt: skip
 def test_typeset_pages_are_read_in_order(layout, medium, seed):
     page, pieces = page_layouts.page_of(getattr(page_layouts, layout), medium, seed)
