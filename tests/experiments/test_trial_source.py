@@ -183,7 +183,7 @@ def test_softness_is_a_rate_that_does_not_follow_the_moving_finger(profile, bank
             return super().respond(task, intervals, alternatives)
 
     rows, observer = [], Noting(Finger(profile, 1, "paper"), lapse=0.0)
-    setup = Setup(profile, Afferent.SAI, repetitions=1, train_s=0.3)
+    setup = Setup(profile, Afferent.SAI, repetitions=1, train_s=0.5)
     sat = sit("softness", setup, bank, tmp_path / "rows.csv", observer, force=Moving("a finger"))
     for row, changes in zip(sat.rows, rows, strict=True):
         at = row["comparison_interval"] - 1
