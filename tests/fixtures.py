@@ -46,7 +46,7 @@ def pytest_configure(config):
     full.configure(config)
     # Set no deadline, because the time of a test depends on the machine's load. In CI, generated
     # inputs are always the same, so that a failure can be reproduced.
-    examples, always_alike = 100 if full.WHOLE else 25, "CI" in os.environ
+    examples, always_alike = 100 if full.WHOLE else 15, "CI" in os.environ
     settings.register_profile(
         "smarttouch", deadline=None, max_examples=examples, derandomize=always_alike
     )

@@ -47,7 +47,7 @@ def test_one_site_of_the_paper(designed):
     assert np.argmax(np.abs(kernel["weights"])) == 3
 
 
-@pytest.mark.parametrize("asked", sample(["smarttouch-4x4 --mode=RA", "kajimoto-61", "line-7"]))
+@pytest.mark.parametrize("asked", sample(["smarttouch-4x4 --mode=RA", "kajimoto-61", "line-7"], 3))
 def test_a_site_is_drawn(program_here, tmp_path, asked):
     program_here(f"design --profile={asked} 5 --plot=k.png").fine()
     with Image.open(tmp_path / "k.png") as picture:

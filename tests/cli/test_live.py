@@ -78,7 +78,7 @@ def test_the_sample_page(program, tmp_path):
     assert len(messages(tmp_path / "run.mcap", "/frame")) == len(sequences)
 
 
-@pytest.mark.parametrize("name", sample(list_profiles(), 4))
+@pytest.mark.parametrize("name", sample(list_profiles(), 5))
 def test_every_profile_runs(figures_of, tmp_path, name):
     # With a large array, the simulation of the branched axons below it takes seconds.
     anatomy = "branched" if len(load_profile(name).electrodes) <= 32 else "paper"

@@ -28,6 +28,7 @@ from smarttouch.running.runner import Runner
 from smarttouch.sources.force import ForceSource
 
 from ..support.checks import raises
+from ..support.full import sample
 from .simulated import Perfect, Silent, read_rows, sit
 
 FEW = {"repetitions": 1, "standards": "30", "train_s": 0.15}
@@ -105,7 +106,7 @@ def test_before_a_trial_intensity_is_there_and_between_intervals_silence(profile
     assert 0 < max(opening_ma) <= 1.02 * profile.threshold_ma[27]
 
 
-@pytest.mark.parametrize("how", ["pause", "silence"])
+@pytest.mark.parametrize("how", sample(["pause", "silence"]))
 def test_a_trial_whose_current_was_lost_is_presented_again(take, how):
     done = []
 
@@ -176,6 +177,7 @@ class Moving(ForceSource):
         return 0.7 + 0.2 * math.sin(2 * math.pi * time_ns / 1e9)
 
 
+@pytest.mark.long
 def test_softness_is_a_rate_that_does_not_follow_the_moving_finger(profile, bank, tmp_path):
     class Noting(SimulatedObserver):
         def respond(self, task, intervals, alternatives):

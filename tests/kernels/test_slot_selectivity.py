@@ -131,6 +131,7 @@ def test_sets_are_as_large_as_can_be_proved(make_operator):
         assert (0.96 * one.electrode_ma <= judge.full_ma).all()
 
 
+@pytest.mark.long
 def test_what_is_proved_holds_every_tenth_of_a_millimeter(make_operator, profile, bank):
     wish = full_wish(profile, bank.kernels(Afferent.RA), bank.receptor[Afferent.RA])
     fine = FrameOperator(FrameJudge(profile, Afferent.RA, wish))

@@ -207,7 +207,7 @@ def test_a_language_that_is_not_there():
     for text in ("Platform 8", "A page is a quiet place.\nRest one finger on a line",
                  "\n".join(TEXT))
     for turns in range(4)
-], 5))  # fmt: skip
+], 6))  # fmt: skip
 def test_a_page_is_turned_as_it_should_be(text, turns):
     notes = []
     grey = np.ascontiguousarray(np.rot90(print_text(text).grey, turns))

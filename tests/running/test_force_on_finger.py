@@ -91,7 +91,7 @@ def flows(profile, bank):
     return run
 
 
-@pytest.mark.parametrize("name", sample(VIRTUAL))
+@pytest.mark.parametrize("name", sample(VIRTUAL, 3))
 def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, name):
     def source():
         return VIRTUAL[name](profile, tmp_path)

@@ -342,7 +342,7 @@ def test_after_a_lost_sequence_recharge_phases_are_what_the_gate_lets_through(
 @pytest.mark.parametrize(
     ("mode", "left_uc"),
     # Some PC scans leave more charge than one recharge phase can balance. Later scans balance it.
-    [(Mode.RA, 0.02), (Mode.SAI, 0.02), (Mode.NATURAL, 0.02), (Mode.PC, 2.0)],
+    sample([(Mode.RA, 0.02), (Mode.SAI, 0.02), (Mode.NATURAL, 0.02), (Mode.PC, 2.0)], 3),
 )
 def test_by_the_emulators_books_charge_is_back_and_the_same_is_felt(
     profile, pipeline_of, make_frame, patch, mode, left_uc
