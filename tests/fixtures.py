@@ -21,7 +21,7 @@ from smarttouch.base.posix import fcntl, prioritized
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.sources.source_contract import Frame, Pose
 
-from .safety import displays
+from .safety import attacked_profiles
 from .safety.watch import Watch
 from .support import full, processes
 
@@ -199,7 +199,7 @@ def make_bank():
 @pytest.fixture(scope="session")
 def changed():
     """Return a function that copies a profile with new values of keys such as ``skin.medium``."""
-    return displays.changed
+    return attacked_profiles.changed
 
 
 @pytest.fixture

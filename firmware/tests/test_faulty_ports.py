@@ -66,7 +66,7 @@ def test_a_field_that_is_left_out_is_safe_or_named():
     assert found == {}
 
 
-ENGINE, SETUP = "st_engine.c", "st_setup.c"
+ENGINE, SETUP = "st_engine.c", "st_init.c"
 MUTANTS = {
     "begin of a pulse from the port": (
         "times", ENGINE, "begun_us = board->port.", "begun_us = before_us + 0 * board->port."

@@ -72,7 +72,7 @@ class _Process:
         """Register this process and the total current of its boards. Raises BoardError if the
         process was stopped, or if the current of all runs together is too large."""
         # Import late, so that help does not load profiles.
-        from smarttouch.profile.ceilings import CEILING_USER_MA
+        from smarttouch.profile.project_ceilings import CEILING_USER_MA
 
         self.handle_signals()
         most_ua = round(1000 * CEILING_USER_MA)

@@ -49,7 +49,7 @@ class ElectrodeArray:
                 "least two, because current needs a return path",
                 key="electrodes",
             )
-        # Equal electrodes can overlap, as in `activating_function.py`, but must not coincide.
+        # Equal electrodes can overlap, as in `activating_function_error.py`, but must not coincide.
         self.refuse_overlaps(COINCIDENT_MM if self.own is None else None)
 
     def refuse_overlaps(self, least_mm: float | None = None) -> None:

@@ -14,8 +14,8 @@ from pydantic import Field, ValidationError, model_validator
 from smarttouch.base.errors import ProfileError, SmartTouchError
 from smarttouch.profile import electrodes as arrays
 from smarttouch.profile import profile_tables as tables
-from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.profile.electrodes import ArrayLayout, ElectrodeArray, GridLayout
+from smarttouch.profile.project_ceilings import CEILING_TOTAL_MA
 from smarttouch.profile.toml_tables import Table, UnfitError, raise_all, table_error
 
 

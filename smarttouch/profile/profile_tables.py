@@ -6,8 +6,8 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from smarttouch.profile import ceilings
-from smarttouch.profile.ceilings import CEILING_DENSITY_UC_CM2, CEILING_SESSION_MC
+from smarttouch.profile import project_ceilings
+from smarttouch.profile.project_ceilings import CEILING_DENSITY_UC_CM2, CEILING_SESSION_MC
 from smarttouch.profile.toml_tables import Number, Positive, Table, UnfitError, raise_all
 
 
@@ -107,11 +107,11 @@ class ForceLaw(Table):
 class Pulse(Table):
     """Pulses and their rates."""
 
-    width_us: int = Field(ge=10, le=int(ceilings.CEILING_PULSE_US))
+    width_us: int = Field(ge=10, le=int(project_ceilings.CEILING_PULSE_US))
     """Pulse width."""
-    discharge_us: int = Field(ge=ceilings.LEAST_DISCHARGE_US, le=5000)
+    discharge_us: int = Field(ge=project_ceilings.LEAST_DISCHARGE_US, le=5000)
     """Time after each pulse in which electrodes are shorted, so that charge flows back."""
-    rate_hz: float = Field(ge=1, le=ceilings.CEILING_RATE_HZ)
+    rate_hz: float = Field(ge=1, le=project_ceilings.CEILING_RATE_HZ)
     """Sequences per second."""
     chronaxie_us: Positive = 200.0
     """Chronaxie of the afferents, which determines how much more current shorter pulses need."""
@@ -127,29 +127,29 @@ class Pulse(Table):
 class Limits(Table):
     """Limits of every sequence, bounded by the project's ceilings."""
 
-    current_ma: float = Field(gt=0, le=ceilings.CEILING_MA)
+    current_ma: float = Field(gt=0, le=project_ceilings.CEILING_MA)
     """Largest current of any electrode."""
-    total_ma: float | None = Field(default=None, gt=0, le=ceilings.CEILING_TOTAL_MA)
+    total_ma: float | None = Field(default=None, gt=0, le=project_ceilings.CEILING_TOTAL_MA)
     """Largest total current of all cathodes in one slot; by default the project's ceiling.
 
     On a board with a single source, the total never exceeds the largest current of one electrode.
     """
     electrode_ma: tuple[Positive, ...] | None = None
     """Largest current of each electrode, if some must stay below ``current_ma``."""
-    pulse_us: float = Field(gt=0, le=ceilings.CEILING_PULSE_US)
+    pulse_us: float = Field(gt=0, le=project_ceilings.CEILING_PULSE_US)
     """Longest pulse."""
-    charge_uc: float = Field(gt=0, le=ceilings.CEILING_CHARGE_UC)
+    charge_uc: float = Field(gt=0, le=project_ceilings.CEILING_CHARGE_UC)
     """Largest charge of a pulse."""
-    rate_hz: float = Field(gt=0, le=ceilings.CEILING_RATE_HZ)
+    rate_hz: float = Field(gt=0, le=project_ceilings.CEILING_RATE_HZ)
     """Largest number of sequences per second."""
-    duty: float = Field(gt=0, le=ceilings.CEILING_DUTY)
+    duty: float = Field(gt=0, le=project_ceilings.CEILING_DUTY)
     """Largest share of time in which current flows."""
-    ramp_s: float = Field(ge=ceilings.SHORTEST_RAMP_S, le=10)
+    ramp_s: float = Field(ge=project_ceilings.SHORTEST_RAMP_S, le=10)
     """Shortest time in which intensity rises from zero to full."""
     density_uc_cm2: float = Field(default=CEILING_DENSITY_UC_CM2, gt=0, le=CEILING_DENSITY_UC_CM2)
     """Largest charge of a pulse per area of the electrode."""
     session_s: float = Field(
-        default=ceilings.CEILING_SESSION_S, gt=0, le=ceilings.CEILING_SESSION_S
+        default=project_ceilings.CEILING_SESSION_S, gt=0, le=project_ceilings.CEILING_SESSION_S
     )
     """Longest total time of scans with current in a session (from opening to closing the board)."""
     session_mc: float = Field(default=CEILING_SESSION_MC, gt=0, le=CEILING_SESSION_MC)

@@ -13,7 +13,7 @@ from smarttouch.boards.board import Board
 from smarttouch.imaging.tactile_mapper import TactileMapper
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
-from smarttouch.profile.ceilings import CEILING_NET_MA
+from smarttouch.profile.project_ceilings import CEILING_NET_MA
 from smarttouch.running.config import RunConfig
 from smarttouch.running.step_records import Measured, Step
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus

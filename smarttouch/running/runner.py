@@ -18,7 +18,7 @@ from smarttouch.boards.board import BoardReport
 from smarttouch.boards.shutdown import stoppable_run
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile, load_profile
-from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
+from smarttouch.profile.project_ceilings import ADVISORY_RMS_MA_CM2
 from smarttouch.running.config import RunConfig, configured
 from smarttouch.running.display import Display, open_display
 from smarttouch.running.loop import Controls, ControlState, Loop, emit_to, steady_environment

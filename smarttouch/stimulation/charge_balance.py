@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.profile import Profile
-from smarttouch.profile.ceilings import CEILING_DUTY, CEILING_MEAN_MA
+from smarttouch.profile.project_ceilings import CEILING_DUTY, CEILING_MEAN_MA
 from smarttouch.stimulation.safety_limits import recharge_most_ua
 from smarttouch.stimulation.scan_sequence import ScanSequence, ScanTiming
 from smarttouch.stimulation.sequence_limits import (

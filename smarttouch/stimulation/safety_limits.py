@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import SafetyError
 from smarttouch.base.tactile_image import one_line
 from smarttouch.profile import Profile
-from smarttouch.profile.ceilings import (
+from smarttouch.profile.profile_tables import Output
+from smarttouch.profile.project_ceilings import (
     CEILING_AREA_MM2,
     CEILING_CHARGE_UC,
     CEILING_DENSITY_UC_CM2,
@@ -27,7 +28,6 @@ from smarttouch.profile.ceilings import (
     CEILING_TOTAL_MA,
     SHORTEST_RAMP_S,
 )
-from smarttouch.profile.profile_tables import Output
 
 PPB = 1_000_000_000  # intensities are compared in parts per billion
 LONGEST_RAMP_S = 10.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import SafetyError
-from smarttouch.profile.ceilings import (
+from smarttouch.profile.project_ceilings import (
     BURST_S,
     CEILING_MEAN_MA,
     CEILING_NET_MA,

@@ -13,7 +13,7 @@ from smarttouch.base.stopping import RunStopped, StopRequest, uninterrupted
 from smarttouch.boards.open import make_board
 from smarttouch.boards.run_registry import registry_folder, stop_all, stopped_since_start
 from smarttouch.boards.shutdown import enter, expect, running_command, stoppable_run
-from smarttouch.profile.ceilings import CEILING_USER_MA
+from smarttouch.profile.project_ceilings import CEILING_USER_MA
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises

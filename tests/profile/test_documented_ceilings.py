@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.profile import ceilings
+from smarttouch.profile import project_ceilings
 
 SAFETY = Path(__file__).parents[2] / "docs" / "safety" / "limits.md"
 CEILINGS = {
@@ -32,7 +32,7 @@ CEILINGS = {
 @pytest.mark.parametrize("name", CEILINGS)
 def test_the_documentation_has_it_with_its_source(name):
     key, unit = CEILINGS[name]
-    value = re.escape(f"{getattr(ceilings, key):g} {unit}".strip())
+    value = re.escape(f"{getattr(project_ceilings, key):g} {unit}".strip())
     row = rf"^\| {re.escape(name)} \| {value} \| [^|]*\w[^|]*\. \|$"
     assert re.search(row, SAFETY.read_text(encoding="utf-8"), re.MULTILINE)
 
@@ -40,4 +40,4 @@ def test_the_documentation_has_it_with_its_source(name):
 def test_none_is_missing_here():
     named = {key for key, _ in CEILINGS.values()}
     others = {"CEILING_AREA_MM2", "CEILING_ELECTRODES", "ADVISORY_RMS_MA_CM2"}
-    assert {each for each in vars(ceilings) if each.isupper()} == named | others
+    assert {each for each in vars(project_ceilings) if each.isupper()} == named | others

@@ -12,8 +12,8 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 
+from .attacked_profiles import display, display_names
 from .bounds import LATE_NS
-from .displays import display, display_names
 from .drafts import later, opening, ordinary
 from .edges import EDGES, attacks
 from .garbage import garbled

@@ -8,9 +8,9 @@ import pytest
 from smarttouch.emulator.firmware_base import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 
+from .attacked_profiles import display
 from .bounds import Bounds
 from .delivery_judge import Pulses, judge_pulses
-from .displays import display
 from .short_sequences import FULL
 
 MS = 1000

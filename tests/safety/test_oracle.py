@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from .attacked_profiles import display
 from .bounds import NS, WHOLE, Bounds
-from .displays import display
 from .drafts import intensity_of
 from .oracle import Oracle
 from .short_sequences import FULL, pair, sequence
