@@ -257,7 +257,7 @@ def test_strong_pulses_after_weak_ones_rise_by_the_ramp(url, period_us, profile,
     # Each rise is at most what the ramp allows in the time since the last sequence, which is more
     # than a period if a busy computer delays a sequence.
     gaps_ms = np.diff([each.step.sequence.time_ns for each in strong[: len(steps)]]) / 1e6
-    assert 0 < min(np.diff(steps))
+    assert min(np.diff(steps)) > 0
     assert (np.diff(steps) <= np.minimum(gaps_ms, 80) / 500 + 0.01).all()
 
 
