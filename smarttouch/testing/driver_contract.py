@@ -223,10 +223,7 @@ class DriverContract:
         return make
 
     def sequence(
-        self,
-        step: int,
-        level_ua: int | None = None,
-        sites: Iterable[int] = range(4),
+        self, step: int, level_ua: int | None = None, sites: Iterable[int] = range(4)
     ) -> ScanSequence:
         """Return a sequence that drives one electrode against all others in each slot.
 
@@ -302,18 +299,20 @@ class DriverContract:
                     board.drain(5)
                     time.sleep(1e-6 * sequence.period_us * times)
                 else:
-                    board.send(sequence, 500)
-                    self._wait_for(len(set(wanted)))
+                    # A device may drop a sequence if a busy computer is late: send it again.
+                    any(self._arrives(board, sequence, ns, len(set(wanted))) for ns in range(3))
             pulses = [pulse for pulse in self.pulses() if pulse != ZERO]
         if not self.counts_passes:
             pulses, wanted = list(dict.fromkeys(pulses)), list(dict.fromkeys(wanted))
         assert_same_pulses(pulses, wanted, self.step_ua, self.step_us)
 
-    def _wait_for(self, kinds: int) -> None:
-        """Wait up to 5 s until the device has received at least ``kinds`` different pulses."""
+    def _arrives(self, board: Board, sequence: ScanSequence, later_ns: int, kinds: int) -> bool:
+        """Send a sequence; return whether the device receives ``kinds`` different pulses in 5 s."""
+        board.send(replace(sequence, time_ns=sequence.time_ns + later_ns), 500)
         end_s = time.monotonic() + 5
-        while len({*self.pulses()} - {ZERO}) < kinds and time.monotonic() < end_s:
+        while (few := len({*self.pulses()} - {ZERO}) < kinds) and time.monotonic() < end_s:
             time.sleep(0.02)
+        return not few
 
     def recharged_sequence(self, step: int) -> ScanSequence:
         """Return one slot, and a recharge phase of 2 ms that returns most of the slot's charge."""
