@@ -169,6 +169,7 @@ def test_where_it_does_not_fit_the_rate_falls_with_a_note(live, program_here):
     program_here("replay run.mcap --check").fine()
 
 
+@pytest.mark.realtime
 def test_a_board_on_a_line_makes_them(live, start_emulator):
     _, port, books = start_emulator(64, "link")
     options = f"--board link:{port} --force fixed:1 --set balance --seconds 0.8"

@@ -146,6 +146,7 @@ def forge_a_strong_one(path, comfort_ma):
     put_together(path, about | {"profile": json.dumps(profile)}, messages)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("comfort_ma", "events", "most_ma"),
     # Cases: a comfort level above the user's limit of 2.4 mA; one below; a board that measures 0 N.
@@ -164,6 +165,7 @@ def test_a_recording_brings_to_a_finger_neither_limits_nor_force(
     assert 0.5 * most_ma <= state["max_current_ma"] <= most_ma * 1.02
 
 
+@pytest.mark.realtime
 def test_a_recording_brings_no_press_where_no_force_is_measured(
     program_here, start_emulator, tmp_path
 ):
