@@ -14,9 +14,9 @@ from .support.full import sample
 EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
 LONG = (
-    "activating_function", "array_study", "braille_page", "electric_mouse",
-    "frequency_discrimination", "irregular_array", "design_kernels", "own_experiment",
-    "paper_effects", "read_a_page", "strength_duration",
+    "activating_function", "activating_function_error", "array_study", "braille_page",
+    "electric_mouse", "frequency_discrimination", "irregular_array", "design_kernels",
+    "own_experiment", "paper_effects", "read_a_page", "strength_duration",
 )  # fmt: skip
 """Slow scripts, which run only when the gallery of the documentation is built."""
 

@@ -24,6 +24,7 @@ from tests.support.full import sample
 from tests.support.processes import PROGRAM, Forked
 from tests.support.runs import until
 
+pytestmark = pytest.mark.long  # QEMU is slow
 LIMITS = SafetyLimits(ELECTRODES, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 
 

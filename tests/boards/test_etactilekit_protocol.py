@@ -335,7 +335,7 @@ PLACES = [*sample(range(len(ZERO) - 40), 16), *range(len(ZERO) - 40, len(ZERO))]
 """Positions in ``ZERO``: a sample of its many leading zero bytes, and its last 40 bytes."""
 
 
-@pytest.fixture(params=FIRMWARES)
+@pytest.fixture(params=sample(FIRMWARES))
 def drives_after(request):
     """Return a function that feeds parts to a kit, and returns whether it still pulses."""
 

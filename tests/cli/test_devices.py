@@ -160,7 +160,7 @@ def test_what_is_there_is_listed_and_nothing_is_opened(program_here):
 @pytest.mark.realtime
 @pytest.mark.parametrize(("name", "how"), sample([
     ("link", signal.SIGTERM), ("kajimoto61", signal.SIGINT), ("etactilekit", signal.SIGINT),
-]))  # fmt: skip
+], 3))  # fmt: skip
 def test_an_emulator_is_played_until_it_is_ended(program_here, start_program, tmp_path, name, how):
     books = tmp_path / "books"
     books.mkdir()

@@ -12,6 +12,7 @@ from smarttouch.base.errors import BoardError, RecordingError, SourceError
 
 from ..boards.emulator_waits import fresh_state
 from ..running.forged_recordings import put_together, take_apart
+from ..support.full import sample
 from .conftest import refused, says
 
 
@@ -150,7 +151,7 @@ def forge_a_strong_one(path, comfort_ma):
 @pytest.mark.parametrize(
     ("comfort_ma", "events", "most_ma"),
     # Cases: a comfort level above the user's limit of 2.4 mA; one below; a board that measures 0 N.
-    [(4.998, (), 2.4), (1.2, (), 1.2), (4.998, ("event=0 force 0",), 0.0)],
+    sample([(4.998, (), 2.4), (1.2, (), 1.2), (4.998, ("event=0 force 0",), 0.0)]),
 )
 def test_a_recording_brings_to_a_finger_neither_limits_nor_force(
     program_here, start_emulator, tmp_path, comfort_ma, events, most_ma

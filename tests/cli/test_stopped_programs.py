@@ -58,7 +58,7 @@ def is_whole(path):
     ("session", {"session": "SmartTouchError"}),
     ("board", {"drive": "BoardStoppedError"}),
     ("left open", {"open": "done", "drive": "BoardStoppedError", "send": "BoardStoppedError"}),
-]))  # fmt: skip
+], 3))  # fmt: skip
 def test_smarttouch_stop_ends_what_a_program_drives(start, start_program, tmp_path, kind, first):
     process, books = start(kind)
     until(lambda: read_state(books)["slots"] > 50)
