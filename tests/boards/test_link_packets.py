@@ -37,6 +37,7 @@ from smarttouch.profile.profile_tables import Output
 from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence
 
 from ..support.checks import raises
+from ..support.full import sample
 from .emulator_waits import until
 
 MS = 1_000_000
@@ -192,13 +193,13 @@ SILENCE_S = 2.5 * LISTENED_S
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize(("pieces", "begun", "is_gone"), [
+@pytest.mark.parametrize(("pieces", "begun", "is_gone"), sample([
     # The board is not gone: this program pauses, or the session has not begun.
     ([SAYS, 2 * SILENCE_S, b"", SAYS], True, False),
     ([b""], False, False),
     ([SAYS, b""], True, True),
     ([SAYS, b"nothing whole"], True, True),
-])  # fmt: skip
+]))  # fmt: skip
 def test_a_silent_board_is_gone(pieces, begun, is_gone):
     packets = LinkSession(lambda message: None)
     packets.open(Reads(packets, *pieces))

@@ -49,7 +49,7 @@ def state_of(books):
     return read_state(books)
 
 
-@on(*sample(KITS))
+@on(*sample(KITS, 3))
 def test_live_end_to_end_ends_in_zero(program_here, kit):
     url, books = kit
 

@@ -9,6 +9,8 @@ import smarttouch as st
 from smarttouch.boards.board import Board
 from smarttouch.emulator.firmware_base import read_slots, read_state
 
+from ..support.full import sample
+
 pytestmark = pytest.mark.realtime
 
 FIGURES = (
@@ -37,10 +39,10 @@ class Kept(st.Listener):
             self.volts[sequence.time_ns] = volts.tolist()
 
 
-@pytest.mark.parametrize(("name", "mode", "scan", "balance"), [
+@pytest.mark.parametrize(("name", "mode", "scan", "balance"), sample([
     ("electric-mouse", "natural", "auto", False), ("electric-mouse", "RA", "points", True),
     ("smarttouch-4x4", "RA", "auto", False),
-])  # fmt: skip
+]))  # fmt: skip
 def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path, monkeypatch):
     # On both boards, the ramp uses the times stated in sequences, not the computer's clock.
     monkeypatch.setattr("smarttouch.boards.open.Board", partial(Board, claimed_time=True))
