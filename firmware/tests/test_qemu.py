@@ -20,7 +20,6 @@ from smarttouch.boards.link import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import encode_limits
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from tests.support.full import sample
 from tests.support.processes import PROGRAM, Forked
 from tests.support.runs import until
 
@@ -63,7 +62,6 @@ def test_noise_is_nothing_and_silence_is_zero_within_100_ms(start_cortex_m3):
     assert np.ptp(start_us) <= 100_000
 
 
-@pytest.mark.long
 def test_a_board_that_stands_still_is_reset(start_cortex_m3):
     """The watchdog timer restarts the board, with all electrodes shorted and no session."""
     machine = start_cortex_m3(stands_after=5, counts=True)
@@ -261,7 +259,7 @@ class Host(Talk):
         return struct.unpack_from("<I", payload, 4)[0], payload[16], payload[32]
 
 
-@pytest.mark.parametrize("kit", sample(KITS))
+@pytest.mark.parametrize("kit", KITS)
 def test_what_is_sent_is_what_registers_and_converter_get(start, kit):
     electrodes, ua_per_count = KITS[kit]
     machine = start(kit)
